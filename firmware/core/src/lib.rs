@@ -1,0 +1,1 @@
+//! Everything of the rig's firmware that needs no chip.

@@ -1,0 +1,3 @@
+//! The command `rigel`: parse, call one library function, report.
+
+fn main() {}

@@ -1,0 +1,306 @@
+//! The vocabulary of space: lens, pose, surface, directions.
+//!
+//! Surface frame: right-handed, origin at the centre of the sampled area, x right, y up, z out of the surface, metres.
+//! Camera frame: x right, y down, z forward; integer pixel coordinates are pixel centres.
+//! `azimuth` is measured from +x towards +y, `zenith` from +z, both in radians.
+
+use std::f64::consts::PI;
+
+use glam::{DMat3, DQuat, DVec2, DVec3};
+use serde::{Deserialize, Serialize};
+
+/// A camera's lens and picture size: pinhole and Brown-Conrady distortion, in OpenCV's order (k1 k2 p1 p2 k3).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Lens {
+    /// Picture width, pixels.
+    pub width: u32,
+    /// Picture height, pixels.
+    pub height: u32,
+    /// Focal length along x, pixels.
+    pub fx: f64,
+    /// Focal length along y, pixels.
+    pub fy: f64,
+    /// Principal point, x; a pixel's centre is an integer.
+    pub cx: f64,
+    /// Principal point, y.
+    pub cy: f64,
+    /// Radial distortion, r².
+    #[serde(default)]
+    pub k1: f64,
+    /// Radial distortion, r⁴.
+    #[serde(default)]
+    pub k2: f64,
+    /// Tangential distortion.
+    #[serde(default)]
+    pub p1: f64,
+    /// Tangential distortion.
+    #[serde(default)]
+    pub p2: f64,
+    /// Radial distortion, r⁶.
+    #[serde(default)]
+    pub k3: f64,
+}
+
+impl Lens {
+    /// A lens without distortion, its axis through the centre of the picture.
+    pub fn pinhole(width: u32, height: u32, focal_px: f64) -> Self {
+        let (cx, cy) = ((f64::from(width) - 1.0) / 2.0, (f64::from(height) - 1.0) / 2.0);
+        Self { width, height, fx: focal_px, fy: focal_px, cx, cy, k1: 0.0, k2: 0.0, p1: 0.0, p2: 0.0, k3: 0.0 }
+    }
+
+    /// Where a point of the camera frame appears, in pixels of the distorted photograph; `None` behind the camera or
+    /// so far out that the distortion polynomial has turned back on itself. The pixel may lie outside the picture.
+    pub fn project(&self, point: DVec3) -> Option<DVec2> {
+        if point.z <= 0.0 {
+            return None;
+        }
+        let u = point.truncate() / point.z;
+        let r2 = u.length_squared();
+        // The radial map r -> r (1 + k1 r² + ...) is one-to-one only while it grows.
+        let growth = 1.0 + r2 * (3.0 * self.k1 + r2 * (5.0 * self.k2 + r2 * 7.0 * self.k3));
+        if growth <= 0.0 {
+            return None;
+        }
+        let d = self.distort(u);
+        Some(DVec2::new(self.fx * d.x + self.cx, self.fy * d.y + self.cy))
+    }
+
+    /// The unit direction, in the camera frame, of what appears at `pixel`; `None` where no direction projects there.
+    pub fn unproject(&self, pixel: DVec2) -> Option<DVec3> {
+        let target = DVec2::new((pixel.x - self.cx) / self.fx, (pixel.y - self.cy) / self.fy);
+        let mut u = target;
+        // Newton with a numerical Jacobian: converges in three or four steps even for strong distortion.
+        for _ in 0..30 {
+            let error = self.distort(u) - target;
+            if error.length_squared() < 1e-26 {
+                break;
+            }
+            let h = 1e-6;
+            let dx = (self.distort(u + DVec2::new(h, 0.0)) - self.distort(u - DVec2::new(h, 0.0))) / (2.0 * h);
+            let dy = (self.distort(u + DVec2::new(0.0, h)) - self.distort(u - DVec2::new(0.0, h))) / (2.0 * h);
+            let determinant = dx.x * dy.y - dy.x * dx.y;
+            if determinant.abs() < 1e-12 {
+                return None;
+            }
+            u -= DVec2::new(dy.y * error.x - dy.x * error.y, dx.x * error.y - dx.y * error.x) / determinant;
+        }
+        let direction = DVec3::new(u.x, u.y, 1.0);
+        let back = self.project(direction)?;
+        (back.distance(pixel) < 1e-6 * self.fx).then(|| direction.normalize())
+    }
+
+    /// The same lens for a photograph of another size, each axis scaled by itself.
+    pub fn scaled_to(&self, width: u32, height: u32) -> Self {
+        let (sx, sy) =
+            (f64::from(width) / f64::from(self.width), f64::from(height) / f64::from(self.height));
+        Self {
+            width,
+            height,
+            fx: self.fx * sx,
+            fy: self.fy * sy,
+            // Pixel centres are integers, so the picture's edge is at -1/2.
+            cx: (self.cx + 0.5) * sx - 0.5,
+            cy: (self.cy + 0.5) * sy - 0.5,
+            ..*self
+        }
+    }
+
+    fn distort(&self, u: DVec2) -> DVec2 {
+        let r2 = u.length_squared();
+        let radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3));
+        let tangential = DVec2::new(
+            2.0 * self.p1 * u.x * u.y + self.p2 * (r2 + 2.0 * u.x * u.x),
+            self.p1 * (r2 + 2.0 * u.y * u.y) + 2.0 * self.p2 * u.x * u.y,
+        );
+        u * radial + tangential
+    }
+}
+
+/// Where a camera stands and how it is turned, in the surface's frame.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Pose {
+    /// Turns a vector of the surface frame into the camera frame (x y z w in files).
+    pub camera_from_surface: DQuat,
+    /// The camera's optical centre in the surface frame, metres.
+    pub centre_m: DVec3,
+}
+
+impl Pose {
+    /// The nominal pose of the pan/tilt rig: the camera stays on +z at `distance_m`, the surface turns by `pan_rad`
+    /// about its z and then by `tilt_rad` about x.
+    pub fn from_rig(pan_rad: f64, tilt_rad: f64, distance_m: f64) -> Self {
+        let turned = DMat3::from_rotation_x(tilt_rad) * DMat3::from_rotation_z(pan_rad);
+        let facing = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
+        Self {
+            camera_from_surface: DQuat::from_mat3(&(facing * turned)),
+            centre_m: turned.transpose() * DVec3::new(0.0, 0.0, distance_m),
+        }
+    }
+
+    /// The pose of a camera at `centre_m` with the given viewing and up directions (surface frame).
+    pub fn from_axes(centre_m: DVec3, forward: DVec3, up: DVec3) -> Self {
+        let right = forward.cross(up).normalize();
+        let down = forward.cross(right).normalize();
+        let surface_from_camera = DMat3::from_cols(right, down, forward.normalize());
+        Self { camera_from_surface: DQuat::from_mat3(&surface_from_camera.transpose()), centre_m }
+    }
+
+    /// A point of the surface frame in the camera frame, metres.
+    pub fn to_camera(&self, point_m: DVec3) -> DVec3 {
+        self.camera_from_surface * (point_m - self.centre_m)
+    }
+
+    /// A direction of the camera frame in the surface frame.
+    pub fn direction_to_surface(&self, direction: DVec3) -> DVec3 {
+        self.camera_from_surface.inverse() * direction
+    }
+}
+
+/// The sampled area: a rectangle in the plane z = 0 of the surface frame, centred on the origin.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Surface {
+    /// Extent along x, metres.
+    pub width_m: f64,
+    /// Extent along y, metres.
+    pub height_m: f64,
+}
+
+impl Surface {
+    /// The centre of texel (`column`, `row`); (0, 0) is the top-left one.
+    pub fn texel_centre(&self, texels: Texels, column: u32, row: u32) -> DVec3 {
+        DVec3::new(
+            ((f64::from(column) + 0.5) / f64::from(texels.columns) - 0.5) * self.width_m,
+            (0.5 - (f64::from(row) + 0.5) / f64::from(texels.rows)) * self.height_m,
+            0.0,
+        )
+    }
+
+    /// The (fractional) column and row at a point of the surface: a texel's centre is an integer.
+    pub fn texel_at(&self, texels: Texels, point_m: DVec3) -> DVec2 {
+        DVec2::new(
+            (point_m.x / self.width_m + 0.5) * f64::from(texels.columns) - 0.5,
+            (0.5 - point_m.y / self.height_m) * f64::from(texels.rows) - 0.5,
+        )
+    }
+
+    /// Whether a point of the plane lies in the sampled area.
+    pub fn contains(&self, point_m: DVec3) -> bool {
+        point_m.x.abs() < self.width_m / 2.0 && point_m.y.abs() < self.height_m / 2.0
+    }
+
+    /// Where the ray from `origin_m` along `direction` meets the plane from above; `None` where it does not.
+    pub fn intersect(&self, origin_m: DVec3, direction: DVec3) -> Option<DVec3> {
+        if direction.z >= 0.0 || origin_m.z <= 0.0 {
+            return None;
+        }
+        Some(origin_m - direction * (origin_m.z / direction.z))
+    }
+}
+
+/// How finely the sampled area is divided.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Texels {
+    /// Number of texels along x.
+    pub columns: u32,
+    /// Number of texels along y.
+    pub rows: u32,
+}
+
+impl Texels {
+    /// How many texels there are.
+    pub fn count(&self) -> usize {
+        self.columns as usize * self.rows as usize
+    }
+}
+
+/// The unit vector at `azimuth_rad` (from +x towards +y) and `zenith_rad` (from +z).
+pub fn unit_vector(azimuth_rad: f64, zenith_rad: f64) -> DVec3 {
+    let (s, c) = zenith_rad.sin_cos();
+    DVec3::new(s * azimuth_rad.cos(), s * azimuth_rad.sin(), c)
+}
+
+/// Azimuth in [0, 2π) and zenith in [0, π] of a vector.
+pub fn azimuth_zenith(direction: DVec3) -> (f64, f64) {
+    let zenith = direction.truncate().length().atan2(direction.z);
+    (direction.y.atan2(direction.x).rem_euclid(2.0 * PI), zenith)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lens() -> Lens {
+        Lens { k1: -0.62, k2: 0.87, p1: -4e-4, p2: 5e-4, ..Lens::pinhole(640, 480, 1349.0) }
+    }
+
+    #[test]
+    fn unproject_undoes_project_across_the_picture() {
+        let lens = lens();
+        for y in (0..480).step_by(40) {
+            for x in (0..640).step_by(40) {
+                let pixel = DVec2::new(f64::from(x), f64::from(y));
+                let direction = lens.unproject(pixel).unwrap();
+                assert!((lens.project(direction * 3.0).unwrap() - pixel).length() < 1e-6);
+            }
+        }
+    }
+
+    #[test]
+    fn nothing_projects_from_behind_or_beyond_the_turning_point() {
+        let lens = Lens { k1: -0.3, ..Lens::pinhole(640, 480, 500.0) };
+        assert_eq!(lens.project(DVec3::new(0.0, 0.0, -1.0)), None);
+        assert_eq!(lens.project(DVec3::new(3.0, 0.0, 1.0)), None);
+    }
+
+    #[test]
+    fn scaling_keeps_the_ray_of_a_relative_position() {
+        let lens = lens();
+        let half = lens.scaled_to(320, 240);
+        let a = lens.unproject(DVec2::new(99.5, 49.5)).unwrap();
+        let b = half.unproject(DVec2::new(49.5, 24.5)).unwrap();
+        assert!((a - b).length() < 1e-9);
+    }
+
+    #[test]
+    fn the_rig_at_rest_looks_straight_down_with_y_up_in_the_picture() {
+        let pose = Pose::from_rig(0.0, 0.0, 0.9);
+        let camera = pose.to_camera(DVec3::new(0.01, 0.02, 0.0));
+        assert!((camera - DVec3::new(0.01, -0.02, 0.9)).length() < 1e-12);
+    }
+
+    #[test]
+    fn a_tilted_rig_sees_the_surface_from_its_zenith_angle() {
+        let (_, zenith) = azimuth_zenith(Pose::from_rig(1.0, 0.7, 0.9).centre_m);
+        assert!((zenith - 0.7).abs() < 1e-12);
+    }
+
+    #[test]
+    fn texels_and_points_are_inverse() {
+        let (surface, texels) = (Surface { width_m: 0.2, height_m: 0.15 }, Texels { columns: 7, rows: 5 });
+        for row in 0..5 {
+            for column in 0..7 {
+                let at = surface.texel_at(texels, surface.texel_centre(texels, column, row));
+                assert!((at - DVec2::new(f64::from(column), f64::from(row))).length() < 1e-12);
+            }
+        }
+        assert!(surface.texel_centre(texels, 0, 0).y > 0.0, "texel (0, 0) is at the top");
+    }
+
+    #[test]
+    fn azimuth_and_zenith_are_inverse_to_the_unit_vector() {
+        for (azimuth, zenith) in [(0.1, 0.2), (4.0, 1.5), (6.2, 3.0)] {
+            let (a, z) = azimuth_zenith(unit_vector(azimuth, zenith));
+            assert!((a - azimuth).abs() < 1e-12 && (z - zenith).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn axes_and_rig_agree() {
+        let rig = Pose::from_rig(0.4, 0.6, 0.9);
+        let forward = rig.direction_to_surface(DVec3::Z);
+        let up = rig.direction_to_surface(-DVec3::Y);
+        let axes = Pose::from_axes(rig.centre_m, forward, up);
+        let point = DVec3::new(0.05, -0.03, 0.0);
+        assert!((rig.to_camera(point) - axes.to_camera(point)).length() < 1e-12);
+    }
+}

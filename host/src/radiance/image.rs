@@ -1,0 +1,26 @@
+//! A view's radiance: what every pixel measured, how sure it is, and which pixels could not be measured.
+
+/// Why a pixel could not be measured; 0 means that it was.
+pub type Mask = u8;
+
+/// Radiance, variance and mask of one view, row by row from the top-left pixel.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RadianceImage {
+    /// Width, pixels.
+    pub width: u32,
+    /// Height, pixels.
+    pub height: u32,
+    /// Linear RGB radiance in the session's unit. Where the mask says saturated, a lower bound.
+    pub radiance: Vec<[f32; 3]>,
+    /// Variance of each channel, in the square of that unit.
+    pub variance: Vec<[f32; 3]>,
+    /// Per pixel, a combination of [`RadianceImage::SATURATED`] and [`RadianceImage::DARK`], or 0.
+    pub mask: Vec<Mask>,
+}
+
+impl RadianceImage {
+    /// At least one channel was saturated in every photograph.
+    pub const SATURATED: Mask = 1;
+    /// At least one channel was too dark in every photograph.
+    pub const DARK: Mask = 2;
+}

@@ -1,0 +1,1 @@
+//! The words that the rig's firmware and the host share.

@@ -1,0 +1,1 @@
+//! A simulated rig, camera and surface with a known truth.
