@@ -12,5 +12,7 @@ pub mod observation;
 pub mod parameter_map;
 pub mod progress;
 pub mod radiance;
+pub mod session;
+pub mod units;
 
 pub use error::{Error, Result};

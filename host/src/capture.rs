@@ -1,0 +1,172 @@
+//! A capture session: the rig goes from view to view, the camera brackets each until no pixel is saturated.
+
+use crate::camera::Camera;
+use crate::picture::Picture;
+use crate::progress::Progress;
+use crate::rig::Rig;
+use crate::session::{Event, Manifest, Photograph, Session, View};
+use crate::{Error, Result};
+
+/// The rig's angles of one view.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Target {
+    /// Pan, radians.
+    pub pan_rad: f64,
+    /// Tilt, radians.
+    pub tilt_rad: f64,
+}
+
+/// What a capture will take.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Plan {
+    /// How many views are still to be photographed.
+    pub views: usize,
+    /// At most so many photographs, seconds and bytes.
+    pub most_photographs: usize,
+    /// See `most_photographs`.
+    pub most_seconds: f64,
+    /// See `most_photographs`.
+    pub most_bytes: u64,
+}
+
+/// Appends views at `targets` to a manifest, in this order, with lens 0.
+pub fn add_views(manifest: &mut Manifest, targets: &[Target]) {
+    for target in targets {
+        manifest.views.push(View {
+            name: format!("view{:03}", manifest.views.len()),
+            pan_deg: Some(target.pan_rad.to_degrees()),
+            tilt_deg: Some(target.tilt_rad.to_degrees()),
+            lens: 0,
+            pose: None,
+        });
+    }
+}
+
+/// The times of a bracket: `longest_s`, halved as often as the camera can follow.
+///
+/// # Errors
+/// [`Error::Request`] when the camera cannot take `longest_s`.
+pub fn bracket(camera: &dyn Camera, longest_s: f64) -> Result<Vec<f64>> {
+    let [shortest, longest] = camera.exposure_range_s();
+    if !(shortest..=longest).contains(&longest_s) {
+        return Err(Error::request(
+            format!("the camera takes {shortest} to {longest} s, not {longest_s} s"),
+            "choose a time in this range with --longest-exposure",
+        ));
+    }
+    Ok(std::iter::successors(Some(longest_s), |time| Some(time / 2.0)).take_while(|&time| time >= shortest * 0.999).collect())
+}
+
+/// What is still to be done in a session, before anything moves: every view's target is checked against the rig's limits.
+///
+/// # Errors
+/// [`Error::Request`] naming the first view that the rig cannot reach, or a time that the camera cannot take.
+pub fn plan(manifest: &Manifest, done: &[usize], rig: &dyn Rig, camera: &dyn Camera, longest_s: f64) -> Result<Plan> {
+    let times = bracket(camera, longest_s)?;
+    let limits = rig.limits();
+    let (mut at, mut travel_s, mut views) = ([0.0, 0.0], 0.0, 0);
+    for index in (0..manifest.views.len()).filter(|index| !done.contains(index)) {
+        let target = target(manifest, index)?;
+        if !limits.contains(target.pan_rad, target.tilt_rad) {
+            let degrees = |range: [f64; 2]| format!("{:.1} to {:.1}", range[0].to_degrees(), range[1].to_degrees());
+            return Err(Error::request(
+                format!(
+                    "view {} is at pan {:.1} and tilt {:.1} degrees, the rig reaches {} and {}",
+                    manifest.views[index].name,
+                    target.pan_rad.to_degrees(),
+                    target.tilt_rad.to_degrees(),
+                    degrees(limits.pan_rad),
+                    degrees(limits.tilt_rad)
+                ),
+                "choose a smaller --zenith-limit",
+            ));
+        }
+        let to = [target.pan_rad, target.tilt_rad];
+        travel_s += limits.travel_time_s(at, to);
+        at = to;
+        views += 1;
+    }
+    let most_photographs = views * times.len();
+    Ok(Plan {
+        views,
+        most_photographs,
+        most_seconds: travel_s + views as f64 * times.iter().sum::<f64>(),
+        most_bytes: most_photographs as u64 * camera.file_size_bytes(),
+    })
+}
+
+/// Photographs every view of a session that is not done yet. A view that was interrupted goes on where it stopped.
+///
+/// # Errors
+/// What the rig, the camera or the disk report; [`Error::Interrupted`]. What was recorded until then is kept, and calling this
+/// again completes the session.
+pub fn capture(
+    session: &mut Session,
+    rig: &mut dyn Rig,
+    camera: &mut dyn Camera,
+    longest_s: f64,
+    progress: &dyn Progress,
+) -> Result<()> {
+    let times = bracket(camera, longest_s)?;
+    plan(&session.manifest, &session.done_views(), rig, camera, longest_s)?;
+    let total = session.manifest.views.len();
+    for view in 0..total {
+        progress.step(view, total)?;
+        if session.is_done(view) {
+            continue;
+        }
+        let target = target(&session.manifest, view)?;
+        rig.move_to(target.pan_rad, target.tilt_rad)?;
+        photograph_view(session, view, camera, &times, &|| progress.step(view, total))?;
+        session.record(Event::ViewDone { view })?;
+    }
+    progress.step(total, total)
+}
+
+/// The recursion "halve the time until no pixel is saturated" (thesis, chapter 7).
+fn photograph_view(
+    session: &mut Session,
+    view: usize,
+    camera: &mut dyn Camera,
+    times: &[f64],
+    interrupted: &dyn Fn() -> Result<()>,
+) -> Result<()> {
+    let taken = session.photographs(view);
+    let count = taken.len();
+    if let Some(last) = taken.last()
+        && !is_saturated(&Picture::read(session.photograph_path(last))?)
+    {
+        return Ok(());
+    }
+    for (index, &time) in times.iter().enumerate().skip(count) {
+        interrupted()?;
+        let stem = session.folder().join("photographs").join(format!("{}_{index}", session.manifest.views[view].name));
+        let shot = camera.photograph(time, &stem)?;
+        // Reading the file back also proves that the camera wrote it whole.
+        let picture = Picture::read(&shot.file)?;
+        let file = shot.file.strip_prefix(session.folder()).unwrap_or(&shot.file).to_string_lossy().into_owned();
+        session.record(Event::Photograph(Photograph { view, file, exposure_s: Some(shot.exposure_s) }))?;
+        if !is_saturated(&picture) {
+            break;
+        }
+    }
+    Ok(())
+}
+
+fn target(manifest: &Manifest, view: usize) -> Result<Target> {
+    let record = &manifest.views[view];
+    match (record.pan_deg, record.tilt_deg) {
+        (Some(pan), Some(tilt)) => Ok(Target { pan_rad: pan.to_radians(), tilt_rad: tilt.to_radians() }),
+        _ => Err(Error::request(
+            format!("view {} has no pan and tilt", record.name),
+            "capture into a session that `rigel capture` started",
+        )),
+    }
+}
+
+/// Whether some pixel is at the top of the camera's range. Compression rings by a few levels around highlights, so the top
+/// is the last 2 %.
+fn is_saturated(picture: &Picture) -> bool {
+    let top = picture.white - picture.white / 50;
+    picture.levels.iter().flatten().any(|&level| level >= top)
+}

@@ -1,0 +1,79 @@
+//! A model is fitted to a whole observation map, tile by tile, in bounded memory.
+
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use rayon::prelude::*;
+
+use super::{FitFlags, FitOptions, Fitter, Model, TexelFit};
+use crate::observation::{ObservationMap, TexelObservations};
+use crate::parameter_map::{Diagnostics, ParameterMap};
+use crate::progress::Progress;
+use crate::{Error, Result};
+
+/// About so many texels are looked at before the fit, to settle what is common to the surface.
+const SAMPLE: usize = 400;
+
+/// Fits `model` to every texel of `map`, leaving out the views `without` (indices in the map's header).
+///
+/// # Errors
+/// [`Error::Request`] when the model has more unknowns than there are views or no view is left; [`Error::Io`] when the map
+/// cannot be read; [`Error::Interrupted`].
+pub fn fit_surface(
+    map: &ObservationMap,
+    model: Model,
+    options: &FitOptions,
+    without: &[u32],
+    progress: &dyn Progress,
+) -> Result<ParameterMap> {
+    let header = map.header();
+    let fitter = Fitter::new(model, options, &sample(map, without)?)?;
+    let (texels, count) = (header.texels, model.parameter_count());
+    let target = Mutex::new((vec![0f32; texels.count() * count], empty(texels.count())));
+    let (tiles, done) = (header.tiles().count(), AtomicUsize::new(0));
+    progress.step(0, tiles)?;
+    (0..tiles).into_par_iter().try_for_each(|tile| {
+        let fits: Vec<((u32, u32), TexelFit)> = map
+            .tile(tile)?
+            .iter()
+            .map(|(texel, observations)| (*texel, fitter.fit(&leave_out(observations, without))))
+            .collect();
+        let mut target = target.lock().map_err(|_| Error::Interrupted)?;
+        let (parameters, diagnostics) = &mut *target;
+        for ((column, row), fit) in fits {
+            let index = row as usize * texels.columns as usize + column as usize;
+            parameters[index * count..(index + 1) * count].copy_from_slice(&fit.parameters);
+            diagnostics.residual[index] = fit.residual;
+            diagnostics.views[index] = fit.views;
+            diagnostics.flags[index] = fit.flags;
+        }
+        drop(target);
+        progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, tiles)
+    })?;
+    let (parameters, diagnostics) = target.into_inner().map_err(|_| Error::Interrupted)?;
+    Ok(ParameterMap { surface: header.surface, texels, model, parameters, diagnostics: Some(diagnostics) })
+}
+
+/// Texels spread over the whole surface.
+///
+/// # Errors
+/// [`Error::Io`] when the map cannot be read.
+pub fn sample(map: &ObservationMap, without: &[u32]) -> Result<Vec<TexelObservations>> {
+    let tiles = map.header().tiles().count();
+    let looked_at = tiles.min(40);
+    let mut sample = vec![];
+    for i in 0..looked_at {
+        let tile = map.tile(i * tiles / looked_at)?;
+        let step = (tile.len() * looked_at / SAMPLE).max(1);
+        sample.extend(tile.iter().step_by(step).map(|(_, texel)| leave_out(texel, without)));
+    }
+    Ok(sample)
+}
+
+fn leave_out(texel: &TexelObservations, without: &[u32]) -> TexelObservations {
+    if without.is_empty() { texel.clone() } else { texel.without(without) }
+}
+
+fn empty(count: usize) -> Diagnostics {
+    Diagnostics { residual: vec![0.0; count], views: vec![0; count], flags: vec![FitFlags::default(); count] }
+}

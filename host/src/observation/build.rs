@@ -1,0 +1,144 @@
+//! From radiance and poses to the observation map, one view at a time.
+
+use std::fs::File;
+use std::io::{BufWriter, Seek, SeekFrom, Write};
+use std::path::Path;
+
+use half::f16;
+use rayon::prelude::*;
+
+use super::map::{Header, ObservationMap, ObservedView, VALUES};
+use super::sample::{Sample, ViewSampler};
+use super::gain;
+use crate::geometry::Texels;
+use crate::progress::Progress;
+use crate::radiance::RadianceImage;
+use crate::session::Session;
+use crate::{Error, Result, file};
+
+/// How to build an observation map.
+#[derive(Debug, Clone, Copy)]
+pub struct Options {
+    /// How finely the sampled area is divided.
+    pub texels: Texels,
+}
+
+/// Texels on a side for the first look, which finds the unit and the gains.
+const COARSE: u32 = 48;
+
+/// Builds the observation map of a session at `path`. Memory: one radiance picture and one view of the map.
+///
+/// # Errors
+/// [`Error::Input`] when the session lacks radiance, poses, a lens or the surface's size; [`Error::Request`] when no texel was
+/// measured by any view; [`Error::Io`] when the disk is full.
+pub fn observe(session: &Session, path: &Path, options: &Options, progress: &dyn Progress) -> Result<ObservationMap> {
+    let surface = session.manifest.surface()?;
+    let views = session.done_views();
+    let total = 2 * views.len();
+    let mut observed = vec![];
+    let mut coarse: Vec<Vec<Option<Sample>>> = vec![];
+    for (step, &view) in views.iter().enumerate() {
+        progress.step(step, total)?;
+        let texels = Texels { columns: COARSE, rows: COARSE };
+        coarse.push(sample_view(session, view, texels)?);
+        let pose = session.pose(view)?;
+        observed.push(ObservedView { name: session.manifest.views[view].name.clone(), centre_m: pose.centre_m, gain: 1.0 });
+    }
+    let unit = median_radiance(&coarse).ok_or_else(|| {
+        Error::request(
+            "no texel of the sampled area was measured in any view",
+            "check the poses, the lens and the size of the surface (--surface)",
+        )
+    })?;
+    if views.iter().any(|&view| session.photographs(view).iter().any(|photograph| photograph.exposure_s.is_none())) {
+        let names: Vec<String> = observed.iter().map(|view| view.name.clone()).collect();
+        for (view, gain) in observed.iter_mut().zip(gain::estimate(&logarithms(&coarse), &names)?) {
+            view.gain = gain;
+        }
+    }
+    drop(coarse);
+    let header = Header::new(surface, options.texels, unit, observed);
+    file::write_beside(path, |temporary| {
+        let mut out = File::create(temporary).map_err(Error::io("write", path))?;
+        let start = header.start(&mut out).map_err(Error::io("write", path))?;
+        for (index, &view) in views.iter().enumerate() {
+            progress.step(views.len() + index, total)?;
+            let samples = sample_view(session, view, options.texels)?;
+            write_view(&mut out, start, &header, index, &samples).map_err(Error::io("write", path))?;
+        }
+        out.sync_all().map_err(Error::io("write", path))
+    })?;
+    progress.step(total, total)?;
+    ObservationMap::open(path)
+}
+
+fn sample_view(session: &Session, view: usize, texels: Texels) -> Result<Vec<Option<Sample>>> {
+    let path = session.radiance_path(view);
+    if !path.is_file() {
+        return Err(Error::input(path, "is missing", "run `rigel radiance` first"));
+    }
+    let image = RadianceImage::read_exr(&path)?;
+    let (lens, pose) = (session.manifest.lens(view)?, session.pose(view)?);
+    if (lens.width, lens.height) != (image.width, image.height) {
+        return Err(Error::input(
+            &path,
+            format!("is {}x{} pixels but its lens is for {}x{}", image.width, image.height, lens.width, lens.height),
+            "run `rigel radiance` again, or correct the lens in session.toml",
+        ));
+    }
+    let sampler = ViewSampler { image: &image, lens, pose: &pose, surface: session.manifest.surface()?, texels };
+    let sample = |index: usize| {
+        sampler.sample(index as u32 % texels.columns, index as u32 / texels.columns)
+    };
+    Ok((0..texels.count()).into_par_iter().map(sample).collect())
+}
+
+/// Writes one view into every tile.
+fn write_view(
+    out: &mut File,
+    start: u64,
+    header: &Header,
+    view: usize,
+    samples: &[Option<Sample>],
+) -> std::io::Result<()> {
+    let scale = (1.0 / (header.unit * header.views[view].gain)) as f32;
+    let views = header.views.len() as u64;
+    let mut block = Vec::with_capacity(header.block_bytes() as usize);
+    let mut out = BufWriter::with_capacity(header.block_bytes() as usize, out);
+    for tile in 0..header.tiles().count() {
+        block.clear();
+        for slot in header.slots(tile) {
+            let sample = slot.and_then(|(column, row)| samples[(row * header.texels.columns + column) as usize]);
+            let values: [f32; VALUES] = match sample {
+                Some(Sample { radiance: [r, g, b], sigma }) => [r * scale, g * scale, b * scale, sigma * scale, 0.0],
+                None => [0.0, 0.0, 0.0, 0.0, 1.0],
+            };
+            // Beyond a half float's range there is nothing to store: absent, as a saturated pixel is.
+            let fits = values.iter().all(|value| value.is_finite() && value.abs() <= f32::from(f16::MAX));
+            let values = if fits { values } else { [0.0, 0.0, 0.0, 0.0, 1.0] };
+            block.extend(values.iter().flat_map(|&value| f16::from_f32(value).to_le_bytes()));
+        }
+        out.seek(SeekFrom::Start(start + (tile as u64 * views + view as u64) * header.block_bytes()))?;
+        out.write_all(&block)?;
+    }
+    out.flush()
+}
+
+fn median_radiance(coarse: &[Vec<Option<Sample>>]) -> Option<f64> {
+    let mut values: Vec<f32> =
+        coarse.iter().flatten().flatten().map(|sample| sample.radiance[1]).filter(|&value| value > 0.0).collect();
+    if values.is_empty() {
+        return None;
+    }
+    let middle = values.len() / 2;
+    Some(f64::from(*values.select_nth_unstable_by(middle, f32::total_cmp).1))
+}
+
+/// Per texel and view, the logarithm of the mean over the channels; NaN where absent or not positive.
+fn logarithms(coarse: &[Vec<Option<Sample>>]) -> Vec<Vec<f32>> {
+    let log = |sample: &Option<Sample>| match sample {
+        Some(sample) if sample.radiance.iter().sum::<f32>() > 0.0 => (sample.radiance.iter().sum::<f32>() / 3.0).ln(),
+        _ => f32::NAN,
+    };
+    (0..coarse[0].len()).map(|texel| coarse.iter().map(|view| log(&view[texel])).collect()).collect()
+}

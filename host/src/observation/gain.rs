@@ -1,0 +1,80 @@
+//! One gain for each photograph whose exposure time nobody knows.
+
+use crate::{Error, Result};
+
+/// Estimates the gain of each view from texels that several views measured: `logs[texel][view]` is the logarithm of the radiance
+/// over gain, NaN where absent. Alternates between a texel's median over views and a view's median over texels, so that
+/// highlights, which few views see in few texels, do not pull. The gains' geometric mean is 1.
+///
+/// What the surface does in the same way at all its texels (a highlight as large as the surface) cannot be told from a gain.
+///
+/// # Errors
+/// [`Error::Request`] when a view shares no texel with the others.
+pub(super) fn estimate(logs: &[Vec<f32>], names: &[String]) -> Result<Vec<f64>> {
+    let views = names.len();
+    let mut gains = vec![0f32; views];
+    for _ in 0..50 {
+        let references: Vec<f32> =
+            logs.iter().map(|texel| median(texel.iter().zip(&gains).map(|(log, gain)| log - gain))).collect();
+        let mut change = 0f32;
+        for view in 0..views {
+            let gain = median(logs.iter().zip(&references).map(|(texel, reference)| texel[view] - reference));
+            if gain.is_nan() {
+                return Err(Error::request(
+                    format!("view {} shows no texel that another view shows", names[view]),
+                    "leave it out, or give its exposure time",
+                ));
+            }
+            change = change.max((gain - gains[view]).abs());
+            gains[view] = gain;
+        }
+        let mean = gains.iter().sum::<f32>() / views as f32;
+        gains.iter_mut().for_each(|gain| *gain -= mean);
+        if change < 1e-4 {
+            break;
+        }
+    }
+    Ok(gains.iter().map(|&gain| f64::from(gain).exp()).collect())
+}
+
+/// Median of the numbers that are not NaN; NaN of none.
+fn median(values: impl Iterator<Item = f32>) -> f32 {
+    let mut values: Vec<f32> = values.filter(|value| !value.is_nan()).collect();
+    if values.is_empty() {
+        return f32::NAN;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f32::total_cmp).1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gains_are_recovered_in_spite_of_highlights_and_gaps() {
+        let truth = [0.5f32, 1.0, 2.0, 1.3];
+        let names: Vec<String> = (0..4).map(|view| view.to_string()).collect();
+        let mean = truth.iter().map(|gain| gain.ln()).sum::<f32>() / 4.0;
+        let logs: Vec<Vec<f32>> = (0..200)
+            .map(|texel| {
+                let albedo = 0.1 + 0.004 * texel as f32;
+                let radiance = |view: usize| albedo + if texel % 4 == view && texel % 3 == 0 { 5.0 } else { 0.0 };
+                let absent = |view: usize| (texel + view) % 7 == 0;
+                (0..4)
+                    .map(|view| if absent(view) { f32::NAN } else { (radiance(view) * truth[view]).ln() })
+                    .collect()
+            })
+            .collect();
+        for (gain, truth) in estimate(&logs, &names).unwrap().iter().zip(truth) {
+            assert!((gain.ln() - f64::from(truth.ln() - mean)).abs() < 0.01, "{gain} {truth}");
+        }
+    }
+
+    #[test]
+    fn a_view_apart_from_the_others_is_named() {
+        let logs = vec![vec![0.0, f32::NAN]; 3];
+        let error = estimate(&logs, &["a".into(), "b".into()]).unwrap_err().to_string();
+        assert!(error.contains("view b"), "{error}");
+    }
+}

@@ -1,0 +1,208 @@
+//! The observation map's file: a header and, tile by tile of texels, five half floats for each view and texel.
+//!
+//! Layout: `RIGELOBS`, the header's length (u64, little-endian), the header (JSON), zeros up to a multiple of 4096; then tile
+//! after tile, in it view after view, in that texel after texel: radiance R G B and its standard deviation, divided by the
+//! header's `unit`, and the mask (0: measured, 1: not measured; the four values are then 0). All tiles have the same size;
+//! those at the right and bottom edge are padded. A fit reads one tile at a time and needs no more memory than that.
+
+use std::fs::File;
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+
+use glam::{DVec3, Vec3};
+use half::f16;
+use memmap2::MmapOptions;
+use half::slice::HalfFloatSliceExt;
+use serde::{Deserialize, Serialize};
+
+use super::TexelObservations;
+use crate::geometry::{Surface, Texels};
+use crate::{Error, Result};
+
+const MAGIC: &[u8; 8] = b"RIGELOBS";
+const FORMAT: u32 = 1;
+/// Half floats for each observation: radiance, standard deviation, mask.
+pub(super) const VALUES: usize = 5;
+const ALIGNMENT: u64 = 4096;
+
+/// What an observation map says of itself.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Header {
+    /// Version of the file.
+    pub format: u32,
+    /// The sampled area.
+    pub surface: Surface,
+    /// How finely it is divided.
+    pub texels: Texels,
+    /// Columns and rows of a tile.
+    pub tile: Texels,
+    /// The session's radiance that counts as 1 in the file.
+    pub unit: f64,
+    /// The views, by index.
+    pub views: Vec<ObservedView>,
+}
+
+/// One view of an observation map.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ObservedView {
+    /// Its name in the session.
+    pub name: String,
+    /// Where the camera was, surface frame, metres.
+    pub centre_m: DVec3,
+    /// The radiance was divided by this, because the exposure time was not known; otherwise 1.
+    pub gain: f64,
+}
+
+impl Header {
+    /// A header in this version's format. Tiles are as large as keeps one in a few megabytes.
+    pub(super) fn new(surface: Surface, texels: Texels, unit: f64, views: Vec<ObservedView>) -> Self {
+        // Padding is lost disk: a tile divides the map evenly where it can.
+        let side = |count: u32| count.div_ceil(count.div_ceil(32));
+        let tile = Texels { columns: side(texels.columns), rows: side(texels.rows) };
+        Self { format: FORMAT, surface, texels, tile, unit, views }
+    }
+
+    /// Number of tiles along x and y.
+    pub fn tiles(&self) -> Texels {
+        Texels {
+            columns: self.texels.columns.div_ceil(self.tile.columns),
+            rows: self.texels.rows.div_ceil(self.tile.rows),
+        }
+    }
+
+    /// The texels (column, row) of a tile, in the file's order, padding left out as `None`.
+    pub(super) fn slots(&self, tile: usize) -> impl Iterator<Item = Option<(u32, u32)>> + use<> {
+        let (tiles, size, texels) = (self.tiles(), self.tile, self.texels);
+        let left = (tile as u32 % tiles.columns) * size.columns;
+        let top = (tile as u32 / tiles.columns) * size.rows;
+        (0..size.rows).flat_map(move |y| (0..size.columns).map(move |x| (left + x, top + y))).map(move |(column, row)| {
+            (column < texels.columns && row < texels.rows).then_some((column, row))
+        })
+    }
+
+    /// Bytes of one view in one tile.
+    pub(super) fn block_bytes(&self) -> u64 {
+        (self.tile.count() * VALUES * size_of::<f16>()) as u64
+    }
+
+    /// Bytes of the header in the file, padding included.
+    fn bytes(&self) -> Vec<u8> {
+        let json = serde_json::to_vec(self).expect("a header is plain data");
+        let mut bytes = MAGIC.to_vec();
+        bytes.extend((json.len() as u64).to_le_bytes());
+        bytes.extend(json);
+        bytes.resize((bytes.len() as u64).next_multiple_of(ALIGNMENT) as usize, 0);
+        bytes
+    }
+
+    /// Bytes of the whole file.
+    pub fn file_bytes(&self) -> u64 {
+        self.bytes().len() as u64 + self.tiles().count() as u64 * self.views.len() as u64 * self.block_bytes()
+    }
+
+    /// Writes the header and makes the file as long as it will be; returns where the tiles start.
+    pub(super) fn start(&self, file: &mut File) -> std::io::Result<u64> {
+        let bytes = self.bytes();
+        file.write_all(&bytes)?;
+        file.set_len(self.file_bytes())?;
+        Ok(bytes.len() as u64)
+    }
+
+    /// The direction from a texel to the camera of a view.
+    fn direction(&self, column: u32, row: u32, view: usize) -> Vec3 {
+        let point = self.surface.texel_centre(self.texels, column, row);
+        (self.views[view].centre_m - point).normalize().as_vec3()
+    }
+}
+
+/// An observation map on disk, open for reading.
+#[derive(Debug)]
+pub struct ObservationMap {
+    path: PathBuf,
+    file: File,
+    start: u64,
+    header: Header,
+}
+
+impl ObservationMap {
+    /// Opens an observation map.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when the file is something else, of another version, or cut short.
+    pub fn open(path: &Path) -> Result<Self> {
+        let mut file = File::open(path).map_err(Error::io("read", path))?;
+        let length = file.metadata().map_err(Error::io("read", path))?.len();
+        let strange = |what: String| Error::input(path, what, "make it with `rigel observe`");
+        let mut start = [0; 16];
+        let read = file.read_exact(&mut start);
+        let json_bytes = u64::from_le_bytes(start[8..].try_into().expect("eight bytes"));
+        if read.is_err() || &start[..8] != MAGIC || json_bytes > length - 16 {
+            return Err(strange("is not an observation map".into()));
+        }
+        let mut json = vec![0; json_bytes as usize];
+        file.read_exact(&mut json).map_err(Error::io("read", path))?;
+        let header: Header =
+            serde_json::from_slice(&json).map_err(|error| strange(format!("has a damaged header ({error})")))?;
+        if header.format != FORMAT {
+            return Err(strange(format!("has format {}, this is a reader of format {FORMAT}", header.format)));
+        }
+        if header.texels.count() == 0 || header.tile.count() == 0 || !(header.unit > 0.0) {
+            return Err(strange("has a damaged header (no texels, tile or unit)".into()));
+        }
+        if header.file_bytes() != length {
+            return Err(strange(format!("has {length} bytes instead of {}: it was cut short", header.file_bytes())));
+        }
+        Ok(Self { path: path.into(), file, start: header.bytes().len() as u64, header })
+    }
+
+    /// What the map says of itself.
+    pub fn header(&self) -> &Header {
+        &self.header
+    }
+
+    /// Where the map is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The texels of one tile, (column, row) with their observations.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the file cannot be mapped.
+    pub fn tile(&self, tile: usize) -> Result<Vec<((u32, u32), TexelObservations)>> {
+        let header = &self.header;
+        let block = header.block_bytes() as usize;
+        let length = block * header.views.len();
+        let mut texels: Vec<((u32, u32), TexelObservations)> =
+            header.slots(tile).flatten().map(|texel| (texel, TexelObservations::default())).collect();
+        if length == 0 {
+            return Ok(texels);
+        }
+        // SAFETY: the map is read only and lives as long as this call; the file is complete (checked when opened) and was
+        // renamed into its place, so nobody of ours writes to it or shortens it.
+        #[expect(unsafe_code, reason = "a memory map is the only way to read a tile without copying it")]
+        let bytes = unsafe {
+            MmapOptions::new().offset(self.start + (tile * length) as u64).len(length).map(&self.file)
+        }
+        .map_err(Error::io("map", &self.path))?;
+        let unit = header.unit as f32;
+        let mut values = vec![0f32; header.tile.count() * VALUES];
+        let halves = |view: usize| -> Vec<f16> {
+            bytes[view * block..(view + 1) * block].chunks_exact(2).map(|b| f16::from_le_bytes([b[0], b[1]])).collect()
+        };
+        for view in 0..header.views.len() {
+            halves(view).convert_to_f32_slice(&mut values);
+            let measured = header.slots(tile).zip(values.chunks_exact(VALUES)).filter(|(slot, _)| slot.is_some());
+            for (((column, row), texel), (_, value)) in texels.iter_mut().zip(measured) {
+                if value[4] != 0.0 {
+                    continue;
+                }
+                texel.view.push(view as u32);
+                texel.direction.push(header.direction(*column, *row, view));
+                texel.radiance.push([value[0] * unit, value[1] * unit, value[2] * unit]);
+                texel.sigma.push(value[3] * unit);
+            }
+        }
+        Ok(texels)
+    }
+}

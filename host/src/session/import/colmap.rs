@@ -1,0 +1,153 @@
+//! A COLMAP text model (cameras.txt, images.txt; colmap.github.io/format.html): lenses and poses of every photograph.
+//! COLMAP's pixel centres are at 0.5, its poses turn the world into the camera, its unit of length is arbitrary.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use glam::{DQuat, DVec2, DVec3};
+
+use super::{Found, plane};
+use crate::geometry::{Lens, Pose, Surface};
+use crate::session::{Manifest, View};
+use crate::{Error, Result};
+
+/// Reads the model and finds the surface: the plane on which most of its points lie.
+pub(super) fn read(
+    model: &Path,
+    photographs: &Path,
+    surface: Option<Surface>,
+    notes: &mut Vec<String>,
+) -> Result<(Manifest, Vec<Found>)> {
+    let cameras = read_cameras(&model.join("cameras.txt"))?;
+    let images_path = model.join("images.txt");
+    let images = read_images(&images_path, &cameras)?;
+    let mut tracks: BTreeMap<i64, Vec<plane::Ray>> = BTreeMap::new();
+    for image in &images {
+        for &(pixel, point) in &image.points {
+            if let Some(direction) = image.lens.unproject(pixel) {
+                let ray = plane::Ray { origin: image.pose.centre_m, direction: image.pose.direction_to_surface(direction) };
+                tracks.entry(point).or_default().push(ray);
+            }
+        }
+    }
+    let centres: Vec<DVec3> = images.iter().map(|image| image.pose.centre_m).collect();
+    let rights: Vec<DVec3> = images.iter().map(|image| image.pose.direction_to_surface(DVec3::X)).collect();
+    let frame = plane::find(&tracks.into_values().collect::<Vec<_>>(), &centres, &rights).ok_or_else(|| {
+        Error::input(&images_path, "has too few points on one plane to find the surface", "import a model of a flat surface")
+    })?;
+    notes.push(format!(
+        "the surface is the plane of {} of the model's {} points; one unit of the model counts as 1 m",
+        frame.on_plane, frame.points
+    ));
+    let mut manifest = Manifest { surface: surface.or(Some(frame.surface)), ..Manifest::new("COLMAP model") };
+    let mut found = vec![];
+    for (view, image) in images.into_iter().enumerate() {
+        let pose = Pose {
+            camera_from_surface: image.pose.camera_from_surface * frame.world_from_surface,
+            centre_m: frame.world_from_surface.inverse() * (image.pose.centre_m - frame.origin),
+        };
+        let lens = manifest.lenses.iter().position(|lens| *lens == image.lens).unwrap_or_else(|| {
+            manifest.lenses.push(image.lens);
+            manifest.lenses.len() - 1
+        });
+        manifest.views.push(View {
+            name: format!("view{view:03}"),
+            pan_deg: None,
+            tilt_deg: None,
+            lens,
+            pose: Some(pose),
+        });
+        found.push(Found { path: photographs.join(&image.name), view, exposure_s: None });
+    }
+    Ok((manifest, found))
+}
+
+struct Image {
+    name: String,
+    lens: Lens,
+    pose: Pose,
+    points: Vec<(DVec2, i64)>,
+}
+
+fn read_cameras(path: &Path) -> Result<BTreeMap<u32, Lens>> {
+    let text = std::fs::read_to_string(path).map_err(Error::io("read", path))?;
+    let mut cameras = BTreeMap::new();
+    for (index, line) in data_lines(&text).filter(|(_, line)| !line.trim().is_empty()) {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let wrong = |what: &str| {
+            Error::input(path, format!("line {index}: {what}"), "export the model again with COLMAP (as text)")
+        };
+        let [id, model, width, height, parameters @ ..] = &words[..] else { return Err(wrong("is cut short")) };
+        let numbers: Vec<f64> = parameters.iter().filter_map(|word| word.parse().ok()).collect();
+        let (Ok(id), Ok(width), Ok(height)) = (id.parse(), width.parse(), height.parse()) else {
+            return Err(wrong("a number cannot be read"));
+        };
+        let zero = Lens { width, height, ..Lens::pinhole(1, 1, 1.0) };
+        let lens = match (*model, &numbers[..]) {
+            ("SIMPLE_PINHOLE", &[f, cx, cy]) => Lens { fx: f, fy: f, cx, cy, ..zero },
+            ("PINHOLE", &[fx, fy, cx, cy]) => Lens { fx, fy, cx, cy, ..zero },
+            ("SIMPLE_RADIAL", &[f, cx, cy, k1]) => Lens { fx: f, fy: f, cx, cy, k1, ..zero },
+            ("RADIAL", &[f, cx, cy, k1, k2]) => Lens { fx: f, fy: f, cx, cy, k1, k2, ..zero },
+            ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => Lens { fx, fy, cx, cy, k1, k2, p1, p2, ..zero },
+            _ => {
+                return Err(Error::input(
+                    path,
+                    format!("line {index}: the camera model {model} with {} parameters is not supported", numbers.len()),
+                    "reconstruct with SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL or OPENCV",
+                ));
+            }
+        };
+        if !(lens.fx > 0.0 && lens.fy > 0.0 && width > 0 && height > 0) {
+            return Err(wrong("the focal length and size must be positive"));
+        }
+        cameras.insert(id, Lens { cx: lens.cx - 0.5, cy: lens.cy - 0.5, ..lens });
+    }
+    Ok(cameras)
+}
+
+fn read_images(path: &Path, cameras: &BTreeMap<u32, Lens>) -> Result<Vec<Image>> {
+    let text = std::fs::read_to_string(path).map_err(Error::io("read", path))?;
+    let mut images = vec![];
+    let mut lines = data_lines(&text);
+    // Two lines an image; the second, its points, may be empty.
+    while let Some((index, line)) = lines.next() {
+        if line.trim().is_empty() {
+            continue;
+        }
+        let wrong = |what: String| {
+            Error::input(path, format!("line {index}: {what}"), "export the model again with COLMAP (as text)")
+        };
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let numbers: Vec<f64> = words.iter().skip(1).take(7).filter_map(|word| word.parse().ok()).collect();
+        let (&[w, x, y, z, tx, ty, tz], Some(camera), true) =
+            (&numbers[..], words.get(8).and_then(|word| word.parse::<u32>().ok()), words.len() > 9)
+        else {
+            return Err(wrong("is not an image with its quaternion, translation, camera and name".into()));
+        };
+        let lens = *cameras.get(&camera).ok_or_else(|| wrong(format!("camera {camera} is not in cameras.txt")))?;
+        let rotation = DQuat::from_xyzw(x, y, z, w);
+        if !(rotation.length() > 1e-6) {
+            return Err(wrong("its quaternion has no length".into()));
+        }
+        let camera_from_surface = rotation.normalize();
+        let centre_m = -(camera_from_surface.inverse() * DVec3::new(tx, ty, tz));
+        let points: Vec<f64> =
+            lines.next().map_or("", |(_, line)| line).split_whitespace().filter_map(|word| word.parse().ok()).collect();
+        let points = points
+            .chunks_exact(3)
+            .filter(|point| point[2] >= 0.0)
+            .map(|point| (DVec2::new(point[0] - 0.5, point[1] - 0.5), point[2] as i64))
+            .collect();
+        images.push(Image { name: words[9..].join(" "), lens, pose: Pose { camera_from_surface, centre_m }, points });
+    }
+    if images.is_empty() {
+        return Err(Error::input(path, "has no image", "export the model again with COLMAP (as text)"));
+    }
+    images.sort_by(|a, b| a.name.cmp(&b.name));
+    Ok(images)
+}
+
+/// Numbered lines, from 1, without comments.
+fn data_lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
+    text.lines().enumerate().map(|(index, line)| (index + 1, line)).filter(|(_, line)| !line.starts_with('#'))
+}

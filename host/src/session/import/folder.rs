@@ -1,0 +1,85 @@
+//! A folder of photographs, without anything that says where they were taken from.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use super::{Found, Options, exif_exposure_s};
+use crate::session::{Manifest, View};
+use crate::{Error, Result};
+
+/// The file types that are taken for photographs.
+const EXTENSIONS: [&str; 6] = ["jpg", "jpeg", "png", "tif", "tiff", "exr"];
+
+/// Lists the photographs in the order of their names and groups them into views.
+pub(super) fn read(folder: &Path, options: &Options, notes: &mut Vec<String>) -> Result<(Manifest, Vec<Found>)> {
+    let entries = std::fs::read_dir(folder).map_err(Error::io("read", folder))?;
+    let mut paths = vec![];
+    let mut others = 0;
+    for entry in entries {
+        let path = entry.map_err(Error::io("read", folder))?.path();
+        let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+        match EXTENSIONS.contains(&extension.as_str()) {
+            true => paths.push(path),
+            false => others += 1,
+        }
+    }
+    paths.sort();
+    if paths.is_empty() {
+        return Err(Error::input(folder, "holds no photograph", format!("give a folder of {} files", EXTENSIONS.join(", "))));
+    }
+    if others > 0 {
+        notes.push(format!("{others} files in {} are no photographs: passed over", folder.display()));
+    }
+    let times = options.exposure_list.as_deref().map(read_exposure_list).transpose()?;
+    let mut found = vec![];
+    let mut members: Vec<Option<f64>> = vec![];
+    let mut view = 0;
+    for path in paths {
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let exposure_s = match &times {
+            Some(times) => Some(*times.get(&name).ok_or_else(|| {
+                Error::input(&path, "is not in the list of exposure times", "add a line for it or move it away")
+            })?),
+            None => exif_exposure_s(&path),
+        };
+        let full = match options.bracket {
+            Some(bracket) => members.len() >= bracket,
+            // A bracket takes each time once, so a time that comes again begins the next view.
+            None => exposure_s.is_none() || members.contains(&exposure_s),
+        };
+        if full && !members.is_empty() {
+            view += 1;
+            members.clear();
+        }
+        members.push(exposure_s);
+        found.push(Found { path, view, exposure_s });
+    }
+    let views = (0..=view)
+        .map(|view| View { name: format!("view{view:03}"), pan_deg: None, tilt_deg: None, lens: 0, pose: None })
+        .collect();
+    notes.push(format!("{} photographs make {} views", found.len(), view + 1));
+    Ok((Manifest { views, ..Manifest::new("folder") }, found))
+}
+
+/// Reads OpenCV's list of exposures: on each line a file name and the reciprocal of its time in seconds.
+fn read_exposure_list(path: &Path) -> Result<BTreeMap<String, f64>> {
+    let text = std::fs::read_to_string(path).map_err(Error::io("read", path))?;
+    let mut times = BTreeMap::new();
+    for (index, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
+        let mut words = line.split_whitespace();
+        let entry = (words.next(), words.next().and_then(|word| word.parse::<f64>().ok()));
+        match entry {
+            (Some(name), Some(reciprocal)) if reciprocal.is_finite() && reciprocal > 0.0 => {
+                times.insert(name.to_owned(), 1.0 / reciprocal);
+            }
+            _ => {
+                return Err(Error::input(
+                    path,
+                    format!("line {} is not a file name and one over its exposure time", index + 1),
+                    "write it as `memorial00.png 0.03125` (that is 32 s)",
+                ));
+            }
+        }
+    }
+    Ok(times)
+}

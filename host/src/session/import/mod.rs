@@ -1,0 +1,223 @@
+//! Photographs that somebody else took become a session: from a folder, a CSV or a COLMAP model.
+
+mod colmap;
+mod folder;
+mod plane;
+mod table;
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+
+use super::{Event, Manifest, Photograph, Session};
+use crate::geometry::Surface;
+use crate::progress::Progress;
+use crate::picture::Picture;
+use crate::view_file::Calibration;
+use crate::{Error, Result, file};
+
+/// Where the photographs and what is known of them come from.
+#[derive(Debug, Clone)]
+pub enum Source {
+    /// A folder of photographs; exposure times from EXIF.
+    Folder(PathBuf),
+    /// A table with the columns file, view, pan_deg, tilt_deg, exposure_s; files relative to the folder beside it.
+    Csv {
+        /// The table.
+        table: PathBuf,
+        /// Where its files are.
+        photographs: PathBuf,
+    },
+    /// A COLMAP text model: a folder with cameras.txt and images.txt, and the folder of its images.
+    Colmap {
+        /// The folder of the model.
+        model: PathBuf,
+        /// Where its images are.
+        photographs: PathBuf,
+    },
+}
+
+/// What the photographs do not say themselves.
+#[derive(Debug, Clone, Default)]
+pub struct Options {
+    /// The sampled area. Of a COLMAP model, by default, what its points cover.
+    pub surface: Option<Surface>,
+    /// Distance from the rig's centre to the camera, metres.
+    pub distance_m: Option<f64>,
+    /// A lens, and poses of views, from elsewhere.
+    pub calibration: Option<Calibration>,
+    /// A list "file 1/t" per line, as OpenCV's samples have it, in place of EXIF.
+    pub exposure_list: Option<PathBuf>,
+    /// How many photographs of a folder make a view; by default a view starts where an exposure time comes again.
+    pub bracket: Option<usize>,
+    /// Photographs without exposure time are taken: `observe` then estimates one gain for each view.
+    pub exposures_unknown: bool,
+}
+
+/// What an import made, and what the user should know about it.
+#[derive(Debug)]
+pub struct Imported {
+    /// The new session.
+    pub session: Session,
+    /// One sentence for everything that was decided for the user.
+    pub notes: Vec<String>,
+}
+
+/// A photograph to be imported: where it is, its view, its exposure time if known.
+#[derive(Debug, Clone, PartialEq)]
+struct Found {
+    path: PathBuf,
+    view: usize,
+    exposure_s: Option<f64>,
+}
+
+/// Checks the photographs, copies them into a new session in `session_folder` and records what is known of them. The originals
+/// are not touched; after an error there is no session.
+///
+/// # Errors
+/// [`Error::Input`] naming the file when a photograph cannot be read, has no exposure time or another size than the
+/// others of its lens; when a table or model is damaged; [`Error::Io`] when the disk is full or cannot be written.
+pub fn import(source: &Source, session_folder: &Path, options: &Options, progress: &dyn Progress) -> Result<Imported> {
+    let mut notes = vec![];
+    let (mut manifest, mut found) = match source {
+        Source::Folder(path) => folder::read(path, options, &mut notes)?,
+        Source::Csv { table, photographs } => table::read(table, photographs)?,
+        Source::Colmap { model, photographs } => colmap::read(model, photographs, options.surface, &mut notes)?,
+    };
+    manifest.surface = options.surface.or(manifest.surface);
+    manifest.distance_m = options.distance_m.or(manifest.distance_m);
+    let sizes = check(&mut found, options, progress)?;
+    if let Some(calibration) = &options.calibration {
+        apply(calibration, &mut manifest, sizes[0]);
+    }
+    check_sizes(&found, &sizes, &mut manifest, &mut notes)?;
+    copy(&found, manifest, session_folder)?;
+    Ok(Imported { session: Session::open(session_folder)?, notes })
+}
+
+/// Reads every photograph whole, so that a truncated one is found now and not after hours; completes the times.
+fn check(found: &mut [Found], options: &Options, progress: &dyn Progress) -> Result<Vec<(u32, u32)>> {
+    let total = found.len();
+    let mut sizes = Vec::with_capacity(total);
+    for (index, photograph) in found.iter_mut().enumerate() {
+        progress.step(index, total)?;
+        let picture = Picture::read(&photograph.path)?;
+        sizes.push((picture.width, picture.height));
+        if photograph.exposure_s.is_none() {
+            photograph.exposure_s = exif_exposure_s(&photograph.path);
+        }
+        match photograph.exposure_s {
+            None if !options.exposures_unknown => {
+                return Err(Error::input(
+                    &photograph.path,
+                    "has no exposure time",
+                    "give the times with --csv or --exposure-list, or let `observe` estimate one gain for each view with --exposures-unknown",
+                ));
+            }
+            Some(time) if !(time.is_finite() && time > 0.0) => {
+                return Err(Error::input(
+                    &photograph.path,
+                    format!("has an exposure time of {time} s"),
+                    "correct it: a time is a positive number of seconds",
+                ));
+            }
+            _ => {}
+        }
+    }
+    progress.step(total, total)?;
+    let known = found.iter().filter(|photograph| photograph.exposure_s.is_some()).count();
+    if known > 0 && known < total {
+        let without = found.iter().find(|photograph| photograph.exposure_s.is_none()).expect("counted above");
+        return Err(Error::input(
+            &without.path,
+            format!("has no exposure time although {known} of {total} photographs have one"),
+            "give all times or none",
+        ));
+    }
+    Ok(sizes)
+}
+
+/// Gives every view the calibrated lens, and its pose where the calibration has one of its number.
+fn apply(calibration: &Calibration, manifest: &mut Manifest, (width, height): (u32, u32)) {
+    manifest.lenses = vec![calibration.lens(width, height)];
+    for view in &mut manifest.views {
+        view.lens = 0;
+        let number = view.name.trim_start_matches("view").parse().ok();
+        view.pose = number.and_then(|number| calibration.pose(number)).or(view.pose);
+    }
+}
+
+/// All photographs of a lens have one size; a lens calibrated at another size is scaled to them.
+fn check_sizes(found: &[Found], sizes: &[(u32, u32)], manifest: &mut Manifest, notes: &mut Vec<String>) -> Result<()> {
+    let mut first: BTreeMap<usize, usize> = BTreeMap::new();
+    for (index, photograph) in found.iter().enumerate() {
+        let lens = manifest.views[photograph.view].lens;
+        let reference = *first.entry(lens).or_insert(index);
+        let ((width, height), (w, h)) = (sizes[reference], sizes[index]);
+        if (width, height) != (w, h) {
+            return Err(Error::input(
+                &photograph.path,
+                format!("is {w}x{h} pixels, but {} is {width}x{height}", found[reference].path.display()),
+                "import photographs of one size only",
+            ));
+        }
+    }
+    let mut scaled = BTreeMap::new();
+    for (&lens, &index) in &first {
+        let Some(record) = manifest.lenses.get_mut(lens) else { continue };
+        let (width, height) = sizes[index];
+        let before = (record.width, record.height);
+        if before != (width, height) {
+            *record = record.scaled_to(width, height);
+            *scaled.entry((before, (width, height))).or_insert(0) += 1;
+        }
+    }
+    for (((w, h), (width, height)), count) in scaled {
+        notes.push(format!(
+            "{count} lens(es) are for {w}x{h} pixels but the photographs have {width}x{height}: scaled, each axis by itself"
+        ));
+    }
+    Ok(())
+}
+
+fn exif_exposure_s(path: &Path) -> Option<f64> {
+    let file = fs::File::open(path).ok()?;
+    let data = exif::Reader::new().read_from_container(&mut BufReader::new(file)).ok()?;
+    match &data.get_field(exif::Tag::ExposureTime, exif::In::PRIMARY)?.value {
+        exif::Value::Rational(times) => times.first().map(exif::Rational::to_f64),
+        _ => None,
+    }
+}
+
+/// Builds the session beside its place and renames it: after an error or Ctrl-C nothing is left.
+fn copy(found: &[Found], manifest: Manifest, session_folder: &Path) -> Result<()> {
+    super::refuse_occupied(session_folder)?;
+    file::write_beside(session_folder, |folder| {
+        let finished = fill(found, manifest, folder);
+        if finished.is_err() {
+            // Best effort: the error that matters is the one returned.
+            let _ = fs::remove_dir_all(folder);
+        }
+        finished
+    })
+}
+
+fn fill(found: &[Found], manifest: Manifest, folder: &Path) -> Result<()> {
+    let mut session = Session::create(folder, manifest)?;
+    let mut names = BTreeMap::new();
+    for photograph in found {
+        let name = photograph.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        if let Some(other) = names.insert(name.clone(), &photograph.path) {
+            return Err(Error::input(
+                &photograph.path,
+                format!("has the same name as {}", other.display()),
+                "rename one of them",
+            ));
+        }
+        let file = format!("photographs/{name}");
+        fs::copy(&photograph.path, folder.join(&file)).map_err(Error::io("copy", &photograph.path))?;
+        session.record(Event::Photograph(Photograph { view: photograph.view, file, exposure_s: photograph.exposure_s }))?;
+    }
+    (0..session.manifest.views.len()).try_for_each(|view| session.record(Event::ViewDone { view }))
+}

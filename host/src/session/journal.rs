@@ -1,0 +1,113 @@
+//! The append-only journal of a session: one JSON object per line, flushed to the disk before the next step.
+
+use std::fs::{File, OpenOptions};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Error, Result};
+
+/// One photograph of a view.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Photograph {
+    /// Index of the view in the manifest.
+    pub view: usize,
+    /// The camera's own file, relative to the session's folder.
+    pub file: String,
+    /// The exposure time that was really used, seconds; absent where nobody knows it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub exposure_s: Option<f64>,
+}
+
+/// What the journal remembers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Event {
+    /// A photograph was taken and its file is complete.
+    Photograph(Photograph),
+    /// All photographs of a view were taken.
+    ViewDone {
+        /// Index of the view in the manifest.
+        view: usize,
+    },
+}
+
+/// The journal, open for appending.
+#[derive(Debug)]
+pub struct Journal {
+    path: PathBuf,
+    file: Option<File>,
+    events: Vec<Event>,
+}
+
+impl Journal {
+    /// Reads the journal at `path`, which need not exist. A last line without its end was torn by a crash: its
+    /// photograph is taken again.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when another line is damaged.
+    pub fn open(path: &Path) -> Result<Self> {
+        let text = match std::fs::read_to_string(path) {
+            Ok(text) => text,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
+            Err(error) => return Err(Error::io("read", path)(error)),
+        };
+        let whole = text.rfind('\n').map_or(0, |end| end + 1);
+        let events = text[..whole]
+            .lines()
+            .enumerate()
+            .map(|(index, line)| {
+                serde_json::from_str(line).map_err(|error| {
+                    Error::input(
+                        path,
+                        format!("line {} is damaged ({error})", index + 1),
+                        "remove that line; its photograph is then taken again",
+                    )
+                })
+            })
+            .collect::<Result<_>>()?;
+        Ok(Self { path: path.into(), file: None, events })
+    }
+
+    /// Appends an event and waits until it is on the disk.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when it cannot be written.
+    pub fn append(&mut self, event: Event) -> Result<()> {
+        let mut line = serde_json::to_string(&event).expect("events are plain data");
+        line.push('\n');
+        self.append_line(&line).map_err(|source| Error::io("write", &self.path)(source))?;
+        self.events.push(event);
+        Ok(())
+    }
+
+    fn append_line(&mut self, line: &str) -> std::io::Result<()> {
+        if self.file.is_none() {
+            let file = OpenOptions::new().create(true).read(true).append(true).open(&self.path)?;
+            // Cut a torn last line, so that the next one does not join it.
+            let text = std::fs::read(&self.path)?;
+            let whole = text.iter().rposition(|&byte| byte == b'\n').map_or(0, |end| end + 1);
+            if whole < text.len() {
+                file.set_len(whole as u64)?;
+            }
+            self.file = Some(file);
+        }
+        let file = self.file.as_mut().expect("opened above");
+        file.write_all(line.as_bytes())?;
+        file.sync_data()
+    }
+
+    /// All photographs, in order.
+    pub fn photographs(&self) -> impl Iterator<Item = &Photograph> {
+        self.events.iter().filter_map(|event| match event {
+            Event::Photograph(photograph) => Some(photograph),
+            Event::ViewDone { .. } => None,
+        })
+    }
+
+    /// Whether all photographs of `view` were taken.
+    pub fn is_done(&self, view: usize) -> bool {
+        self.events.iter().any(|event| matches!(event, Event::ViewDone { view: done } if *done == view))
+    }
+}

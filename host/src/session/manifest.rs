@@ -1,0 +1,145 @@
+//! The manifest of a session: what was planned. People may read and edit it.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use crate::geometry::{Lens, Pose, Surface};
+use crate::units::length;
+use crate::{Error, Result, file};
+
+/// The only version of the session folder so far.
+const FORMAT: u32 = 1;
+
+/// What a session consists of.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Manifest {
+    /// Version of the session folder.
+    pub format: u32,
+    /// Where the photographs come from: a rig and camera, or an import.
+    pub source: String,
+    /// Distance from the rig's centre to the camera.
+    #[serde(rename = "distance", default, skip_serializing_if = "Option::is_none", with = "optional_length")]
+    pub distance_m: Option<f64>,
+    /// The sampled area.
+    #[serde(default, skip_serializing_if = "Option::is_none", with = "surface")]
+    pub surface: Option<Surface>,
+    /// The lenses with which the views were photographed.
+    #[serde(rename = "lens", default, skip_serializing_if = "Vec::is_empty")]
+    pub lenses: Vec<Lens>,
+    /// The views.
+    #[serde(rename = "view", default)]
+    pub views: Vec<View>,
+}
+
+/// One direction from which the surface is photographed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct View {
+    /// Its name: the start of its file names.
+    pub name: String,
+    /// Commanded pan, degrees.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pan_deg: Option<f64>,
+    /// Commanded tilt, degrees.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tilt_deg: Option<f64>,
+    /// Index of its lens.
+    #[serde(default)]
+    pub lens: usize,
+    /// Its calibrated pose, where known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pose: Option<Pose>,
+}
+
+impl Manifest {
+    /// A manifest without views.
+    pub fn new(source: impl Into<String>) -> Self {
+        Self { format: FORMAT, source: source.into(), distance_m: None, surface: None, lenses: vec![], views: vec![] }
+    }
+
+    /// Writes the manifest as TOML.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when it cannot be written.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let text = toml::to_string(self).expect("a manifest is plain data");
+        file::write_bytes(path, text.as_bytes())
+    }
+
+    /// Reads a manifest.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when it is damaged, of another version, or names a lens that it does not have.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).map_err(Error::io("read", path))?;
+        let manifest: Self = toml::from_str(&text).map_err(|error| {
+            Error::input(path, error.message().to_owned(), "correct the line or restore the file from a copy")
+        })?;
+        if manifest.format != FORMAT {
+            return Err(Error::input(
+                path,
+                format!("has format {}, this is a reader of format {FORMAT}", manifest.format),
+                "use the version of rigel that wrote it",
+            ));
+        }
+        if let Some(view) = manifest.views.iter().find(|view| view.lens > 0 && view.lens >= manifest.lenses.len()) {
+            return Err(Error::input(
+                path,
+                format!("view {} has lens {}, but there are {}", view.name, view.lens, manifest.lenses.len()),
+                "correct the number",
+            ));
+        }
+        Ok(manifest)
+    }
+
+    /// The lens of a view.
+    ///
+    /// # Errors
+    /// [`Error::Request`] when the session has none.
+    pub fn lens(&self, view: usize) -> Result<&Lens> {
+        self.lenses.get(self.views[view].lens).ok_or_else(|| {
+            Error::request("the session has no lens", "import with --calibration FILE or from a COLMAP model")
+        })
+    }
+
+    /// The sampled area.
+    ///
+    /// # Errors
+    /// [`Error::Request`] when the session does not know it.
+    pub fn surface(&self) -> Result<Surface> {
+        self.surface.ok_or_else(|| {
+            Error::request("the session does not know the size of the sampled area", "import with --surface 200mmx150mm")
+        })
+    }
+}
+
+mod optional_length {
+    use super::*;
+    use serde::{Deserializer, Serializer};
+
+    pub fn serialize<S: Serializer>(metres: &Option<f64>, serializer: S) -> std::result::Result<S::Ok, S::Error> {
+        length::serialize(&metres.unwrap_or_default(), serializer)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> std::result::Result<Option<f64>, D::Error> {
+        length::deserialize(deserializer).map(Some)
+    }
+}
+
+mod surface {
+    use super::*;
+    use crate::units::{format_length, parse_surface};
+    use serde::{Deserializer, Serializer};
+
+    pub fn serialize<S: Serializer>(surface: &Option<Surface>, serializer: S) -> std::result::Result<S::Ok, S::Error> {
+        let Some(surface) = surface else { return serializer.serialize_none() };
+        serializer.serialize_str(&format!("{}x{}", format_length(surface.width_m), format_length(surface.height_m)))
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> std::result::Result<Option<Surface>, D::Error> {
+        let text = String::deserialize(deserializer)?;
+        parse_surface(&text).map(Some).map_err(serde::de::Error::custom)
+    }
+}

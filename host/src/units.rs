@@ -1,0 +1,111 @@
+//! Lengths and sizes as people write them: `200mm`, `512x512`.
+
+use serde::{Deserialize, Deserializer, Serializer};
+
+use crate::geometry::{Surface, Texels};
+use crate::{Error, Result};
+
+/// Reads a length with its unit (`900mm`, `20cm`, `0.9m`) in metres.
+///
+/// # Errors
+/// [`Error::Request`] when the number or the unit is missing, or the length is not positive.
+pub fn parse_length_m(text: &str) -> Result<f64> {
+    let text = text.trim();
+    let (number, metres) = [("mm", 1e-3), ("cm", 1e-2), ("m", 1.0)]
+        .into_iter()
+        .find_map(|(unit, metres)| text.strip_suffix(unit).map(|number| (number, metres)))
+        .ok_or_else(|| Error::request(format!("the length '{text}' has no unit"), "write it as 200mm, 20cm or 0.2m"))?;
+    match number.trim().parse::<f64>() {
+        Ok(value) if value.is_finite() && value > 0.0 => Ok(value * metres),
+        _ => Err(Error::request(format!("the length '{text}' is not a positive number"), "write it as 200mm")),
+    }
+}
+
+/// Reads a surface's extent, `200mmx150mm` or `200x150mm`: width, then height.
+///
+/// # Errors
+/// [`Error::Request`] when it is not two lengths.
+pub fn parse_surface(text: &str) -> Result<Surface> {
+    let Some((width, height)) = text.split_once('x') else {
+        return Err(Error::request(format!("the surface '{text}' is not two lengths"), "write it as 200mmx150mm"));
+    };
+    let unit = height.trim_start_matches(|c: char| !c.is_alphabetic());
+    let width = if width.ends_with('m') { width.to_owned() } else { format!("{width}{unit}") };
+    Ok(Surface { width_m: parse_length_m(&width)?, height_m: parse_length_m(height)? })
+}
+
+/// Reads a number of texels, `512x512`: columns, then rows.
+///
+/// # Errors
+/// [`Error::Request`] when it is not two positive whole numbers, or more than 16384 on a side.
+pub fn parse_texels(text: &str) -> Result<Texels> {
+    let parts = text.split_once('x').and_then(|(c, r)| Some((c.trim().parse().ok()?, r.trim().parse().ok()?)));
+    match parts {
+        Some((columns, rows)) if (1..=16384).contains(&columns) && (1..=16384).contains(&rows) => {
+            Ok(Texels { columns, rows })
+        }
+        _ => Err(Error::request(
+            format!("'{text}' is not a number of texels"),
+            "write columns and rows as 512x512, at most 16384 each",
+        )),
+    }
+}
+
+/// Writes metres in the unit people measure with.
+pub fn format_length(metres: f64) -> String {
+    format!("{}mm", (metres * 1e6).round() / 1e3)
+}
+
+/// Serde: a length in metres stands in files as text with its unit.
+pub mod length {
+    use super::*;
+
+    /// Writes metres as text with a unit.
+    ///
+    /// # Errors
+    /// Those of the serializer.
+    pub fn serialize<S: Serializer>(metres: &f64, serializer: S) -> std::result::Result<S::Ok, S::Error> {
+        serializer.serialize_str(&format_length(*metres))
+    }
+
+    /// Reads text with a unit as metres.
+    ///
+    /// # Errors
+    /// Those of the deserializer, or a length without unit.
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> std::result::Result<f64, D::Error> {
+        let text = String::deserialize(deserializer)?;
+        parse_length_m(&text).map_err(serde::de::Error::custom)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lengths_carry_a_unit() {
+        assert_eq!(parse_length_m("900mm").unwrap(), 0.9);
+        assert_eq!(parse_length_m("0.9 m").unwrap(), 0.9);
+        for bad in ["900", "mm", "-3mm", "nanm", ""] {
+            assert!(parse_length_m(bad).is_err(), "{bad}");
+        }
+        assert!((parse_length_m(&format_length(0.123_456)).unwrap() - 0.123_456).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_surface_is_width_by_height() {
+        for text in ["200mmx150mm", "200x150mm", "20cmx0.15m"] {
+            let surface = parse_surface(text).unwrap();
+            assert!((surface.width_m - 0.2).abs() < 1e-12 && (surface.height_m - 0.15).abs() < 1e-12, "{text}");
+        }
+        assert!(parse_surface("200mm").is_err());
+    }
+
+    #[test]
+    fn texels_are_two_positive_numbers() {
+        assert_eq!(parse_texels("512x256").unwrap(), Texels { columns: 512, rows: 256 });
+        for bad in ["512", "0x3", "axb", "99999x1", "-1x2"] {
+            assert!(parse_texels(bad).is_err(), "{bad}");
+        }
+    }
+}

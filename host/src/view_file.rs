@@ -1,0 +1,236 @@
+//! Lenses, poses and reference views in files (TOML or JSON) that people or other programs wrote.
+//!
+//! Fields: `fx fy` (or `f`) `cx cy k1 k2 p1 p2 k3` as in OpenCV, `width height`; a pose is `centre` (mm), `forward` and `up`,
+//! all in the surface's frame; a reference view also has the `file` of its radiance.
+
+use std::path::{Path, PathBuf};
+
+use glam::DVec3;
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+
+use crate::geometry::{Lens, Pose};
+use crate::{Error, Result};
+
+/// A lens, and poses of views, that somebody else found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Calibration {
+    lens: LensFile,
+    views: Vec<(u32, Pose)>,
+}
+
+/// A view to compare with: a camera and the file of the radiance it saw.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ReferenceFile {
+    /// The picture of its radiance.
+    pub file: PathBuf,
+    /// Its pose.
+    pub pose: Pose,
+    lens: LensFile,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+struct LensFile {
+    f: Option<f64>,
+    fx: Option<f64>,
+    fy: Option<f64>,
+    cx: f64,
+    cy: f64,
+    #[serde(default)]
+    k1: f64,
+    #[serde(default)]
+    k2: f64,
+    #[serde(default)]
+    p1: f64,
+    #[serde(default)]
+    p2: f64,
+    #[serde(default)]
+    k3: f64,
+    width: Option<u32>,
+    height: Option<u32>,
+}
+
+#[derive(Deserialize)]
+struct PoseFile {
+    centre: DVec3,
+    forward: DVec3,
+    up: DVec3,
+}
+
+impl Calibration {
+    /// Reads a lens and, where the file has `views`, their poses by number. `pixel_centre` says where the file has the centre
+    /// of the first pixel: 0 (OpenCV) or 0.5.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when the file is damaged or lacks a field.
+    pub fn read(path: &Path, pixel_centre: f64) -> Result<Self> {
+        #[derive(Deserialize)]
+        struct Numbered {
+            view: u32,
+            #[serde(flatten)]
+            pose: PoseFile,
+        }
+        #[derive(Deserialize)]
+        struct File {
+            #[serde(flatten)]
+            lens: LensFile,
+            #[serde(default)]
+            views: Vec<Numbered>,
+        }
+        let file: File = parse(path)?;
+        let views = file.views.into_iter().map(|entry| Ok((entry.view, entry.pose.check(path)?))).collect::<Result<_>>()?;
+        Ok(Self { lens: file.lens.check(path, pixel_centre)?, views })
+    }
+
+    /// The lens; for a picture of `width` x `height` pixels where the file does not say its size.
+    pub fn lens(&self, width: u32, height: u32) -> Lens {
+        self.lens.sized(width, height)
+    }
+
+    /// The pose of a view by its number.
+    pub fn pose(&self, view: u32) -> Option<Pose> {
+        self.views.iter().find(|(number, _)| *number == view).map(|(_, pose)| *pose)
+    }
+}
+
+impl ReferenceFile {
+    /// Reads a list of reference views; their files are relative to the list's folder.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when the list is damaged, empty, or lacks a field.
+    pub fn read_list(path: &Path, pixel_centre: f64) -> Result<Vec<Self>> {
+        #[derive(Deserialize)]
+        struct Entry {
+            file: PathBuf,
+            #[serde(flatten)]
+            lens: LensFile,
+            #[serde(flatten)]
+            pose: PoseFile,
+        }
+        let entries: Vec<Entry> = parse(path)?;
+        if entries.is_empty() {
+            return Err(Error::input(path, "lists no reference view", "list at least one"));
+        }
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let complete = |entry: Entry| {
+            Ok(Self {
+                file: folder.join(entry.file),
+                pose: entry.pose.check(path)?,
+                lens: entry.lens.check(path, pixel_centre)?,
+            })
+        };
+        entries.into_iter().map(complete).collect()
+    }
+
+    /// The lens; for a picture of `width` x `height` pixels where the file does not say its size.
+    pub fn lens(&self, width: u32, height: u32) -> Lens {
+        self.lens.sized(width, height)
+    }
+}
+
+/// Reads one camera to render with: a lens with its size, and a pose.
+///
+/// # Errors
+/// [`Error::Input`] when the file is damaged or lacks a field.
+pub fn read_camera(path: &Path, pixel_centre: f64) -> Result<(Lens, Pose)> {
+    #[derive(Deserialize)]
+    struct File {
+        #[serde(flatten)]
+        lens: LensFile,
+        #[serde(flatten)]
+        pose: PoseFile,
+    }
+    let file: File = parse(path)?;
+    let (Some(width), Some(height)) = (file.lens.width, file.lens.height) else {
+        return Err(Error::input(path, "does not say the picture's size", "add width and height in pixels"));
+    };
+    Ok((file.lens.check(path, pixel_centre)?.sized(width, height), file.pose.check(path)?))
+}
+
+impl LensFile {
+    fn check(mut self, path: &Path, pixel_centre: f64) -> Result<Self> {
+        self.fx = self.fx.or(self.f);
+        self.fy = self.fy.or(self.f);
+        self.cx -= pixel_centre;
+        self.cy -= pixel_centre;
+        let usable = |focal: Option<f64>| focal.is_some_and(|focal| focal.is_finite() && focal > 0.0);
+        if !(usable(self.fx) && usable(self.fy)) {
+            return Err(Error::input(path, "has no positive focal length", "add fx and fy, or f, in pixels"));
+        }
+        Ok(self)
+    }
+
+    fn sized(&self, width: u32, height: u32) -> Lens {
+        let Self { cx, cy, k1, k2, p1, p2, k3, .. } = *self;
+        let (fx, fy) = (self.fx.unwrap_or_default(), self.fy.unwrap_or_default());
+        Lens {
+            width: self.width.unwrap_or(width),
+            height: self.height.unwrap_or(height),
+            fx,
+            fy,
+            cx,
+            cy,
+            k1,
+            k2,
+            p1,
+            p2,
+            k3,
+        }
+    }
+}
+
+impl PoseFile {
+    fn check(&self, path: &Path) -> Result<Pose> {
+        let sine = self.forward.normalize_or_zero().cross(self.up.normalize_or_zero()).length();
+        if !(sine > 1e-6 && self.centre.is_finite()) {
+            return Err(Error::input(
+                path,
+                format!("has a pose with forward {} and up {}, which are parallel or zero", self.forward, self.up),
+                "correct the pose",
+            ));
+        }
+        Ok(Pose::from_axes(self.centre * 1e-3, self.forward, self.up))
+    }
+}
+
+fn parse<T: DeserializeOwned>(path: &Path) -> Result<T> {
+    let text = std::fs::read_to_string(path).map_err(Error::io("read", path))?;
+    let parsed = match text.trim_start().chars().next() {
+        Some('{' | '[') => serde_json::from_str(&text).map_err(|error| error.to_string()),
+        _ => toml::from_str(&text).map_err(|error: toml::de::Error| error.message().to_owned()),
+    };
+    parsed.map_err(|what| {
+        Error::input(path, format!("cannot be used ({what})"), "give TOML or JSON with fx, fy, cx, cy, centre, forward and up")
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file(text: &str) -> tempfile::NamedTempFile {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), text).unwrap();
+        file
+    }
+
+    #[test]
+    fn toml_and_json_say_the_same() {
+        let toml = file("f = 500.0\ncx = 320.0\ncy = 240.0\nwidth = 640\nheight = 480\ncentre = [0.0, 0.0, 900.0]\nforward = [0.0, 0.0, -1.0]\nup = [0.0, 1.0, 0.0]\n");
+        let json = file(r#"{"fx": 500, "fy": 500, "cx": 320, "cy": 240, "width": 640, "height": 480,
+            "centre": [0, 0, 900], "forward": [0, 0, -1], "up": [0, 1, 0]}"#);
+        let (lens, pose) = read_camera(toml.path(), 0.5).unwrap();
+        assert_eq!((lens, pose), read_camera(json.path(), 0.5).unwrap());
+        assert_eq!(lens.cx, 319.5);
+        assert!((pose.to_camera(DVec3::new(0.1, 0.0, 0.0)) - DVec3::new(0.1, 0.0, 0.9)).length() < 1e-12);
+    }
+
+    #[test]
+    fn what_is_missing_is_named() {
+        let without_focal = file("cx = 1.0\ncy = 1.0\n");
+        let message = Calibration::read(without_focal.path(), 0.0).unwrap_err().to_string();
+        assert!(message.contains("focal length"), "{message}");
+        let parallel = file("f = 1.0\ncx = 1.0\ncy = 1.0\nwidth = 2\nheight = 2\ncentre = [0.0, 0.0, 9.0]\nforward = [0.0, 1.0, 0.0]\nup = [0.0, 2.0, 0.0]\n");
+        assert!(read_camera(parallel.path(), 0.0).unwrap_err().to_string().contains("parallel"));
+    }
+}
