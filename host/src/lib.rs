@@ -4,6 +4,7 @@
 //! `geometry` → `rig`, `camera`, `sampling` → `session` → `radiance`, `calibration` → `observation` → `fit`,
 //! `parameter_map` → `render` → `evaluate`, `chart`, `report`.
 
+pub mod calibration;
 pub mod error;
 pub mod file;
 pub mod fit;

@@ -1,0 +1,184 @@
+//! The fall-off of light towards the corners, learnt from photographs of an even surface.
+
+use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
+
+use crate::radiance::{NoiseModel, Picture, RadianceImage, Response};
+use crate::{Error, Result};
+
+/// Side of the squares over which a flat field is averaged, pixels.
+const SQUARE: usize = 8;
+
+/// Relative illumination: exp(Σ c_k r^(2k+2)), 1 at the centre, r being the distance from the centre in units of half
+/// the picture's diagonal. The exponential keeps it positive however it is extrapolated. Saved as TOML by its fields.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Vignetting {
+    /// Width of the photographs it was learnt from, pixels.
+    pub width: u32,
+    /// Height, pixels.
+    pub height: u32,
+    /// Where the light falls off from, x; a pixel's centre is an integer.
+    pub centre_x: f64,
+    /// Where the light falls off from, y.
+    pub centre_y: f64,
+    /// Coefficients of r², r⁴ and r⁶.
+    pub coefficients: [f64; 3],
+    /// Root mean square of what the model leaves of the flat fields, relative, over squares of 8 pixels.
+    pub residual: f64,
+}
+
+impl Vignetting {
+    /// Fits flat fields: photographs of an evenly lit even surface, of any exposure each.
+    ///
+    /// # Errors
+    /// [`Error::Request`] without photographs; [`Error::Input`] naming a photograph of another size or depth, one that
+    /// is too dark or saturated over more than half of its area, or the first one where all together are not flat
+    /// (residual above 5 %).
+    pub fn fit(flats: &[Picture], response: &Response, noise: &NoiseModel) -> Result<Self> {
+        let Some(first) = flats.first() else {
+            return Err(Error::request("no flat fields", "photograph an evenly lit sheet, or go on without vignetting"));
+        };
+        let mut squares = Vec::new();
+        for (index, flat) in flats.iter().enumerate() {
+            if (flat.width, flat.height, flat.white) != (first.width, first.height, response.white()) {
+                let what = format!("the flat field is {}x{} with levels to {}", flat.width, flat.height, flat.white);
+                return Err(Error::input(&flat.path, what, "take it with the settings of the other photographs"));
+            }
+            let before = squares.len();
+            gather(flat, index, response, noise, &mut squares);
+            let most = 3 * (flat.width as usize / SQUARE) * (flat.height as usize / SQUARE);
+            if 2 * (squares.len() - before) < most {
+                let what = "more than half of the flat field is too dark or saturated";
+                return Err(Error::input(&flat.path, what, "photograph it at about half of white"));
+            }
+        }
+        let fitted = fit(&squares, flats.len(), first);
+        if fitted.residual > 0.05 {
+            let what = format!("the flat fields differ by {:.1} % from a fall-off about a centre", 100.0 * fitted.residual);
+            return Err(Error::input(&first.path, what, "photograph an even surface without shadows"));
+        }
+        Ok(fitted)
+    }
+
+    /// Relative illumination at a pixel, 1 at the centre of the fall-off.
+    pub fn at(&self, x: f64, y: f64) -> f64 {
+        let half = 0.25 * (f64::from(self.width).powi(2) + f64::from(self.height).powi(2));
+        let r2 = ((x - self.centre_x).powi(2) + (y - self.centre_y).powi(2)) / half;
+        let [a, b, c] = self.coefficients;
+        (r2 * (a + r2 * (b + r2 * c))).exp()
+    }
+
+    /// Divides a view's radiance by the illumination, and its variance by the square.
+    ///
+    /// # Errors
+    /// [`Error::Request`] where the view has another size than the flat fields.
+    pub fn correct(&self, image: &mut RadianceImage) -> Result<()> {
+        if (self.width, self.height) != (image.width, image.height) {
+            return Err(Error::request(
+                format!(
+                    "vignetting was learnt at {}x{}, the view has {}x{}",
+                    self.width, self.height, image.width, image.height
+                ),
+                "photograph flat fields at the size of the views",
+            ));
+        }
+        let width = self.width as usize;
+        for (i, (radiance, variance)) in image.radiance.iter_mut().zip(&mut image.variance).enumerate() {
+            let gain = 1.0 / self.at((i % width) as f64, (i / width) as f64) as f32;
+            radiance.iter_mut().for_each(|r| *r *= gain);
+            variance.iter_mut().for_each(|v| *v *= gain * gain);
+        }
+        Ok(())
+    }
+}
+
+/// The mean exposure of a square in one channel of one flat field, which share a gain.
+struct Square {
+    x: f64,
+    y: f64,
+    gain: usize,
+    ln_exposure: f64,
+}
+
+fn gather(flat: &Picture, index: usize, response: &Response, noise: &NoiseModel, squares: &mut Vec<Square>) {
+    let (width, height) = (flat.width as usize, flat.height as usize);
+    for row in 0..height / SQUARE {
+        for column in 0..width / SQUARE {
+            for channel in 0..3 {
+                let table = response.exposure(channel);
+                let valid = noise.dark_level[channel] + 1..noise.saturated_level[channel];
+                let mut sum = Some(0.0);
+                for i in 0..SQUARE * SQUARE {
+                    let pixel = (row * SQUARE + i / SQUARE) * width + column * SQUARE + i % SQUARE;
+                    let level = flat.levels[pixel][channel];
+                    sum = sum.filter(|_| valid.contains(&level)).map(|s| s + f64::from(table[usize::from(level)]));
+                }
+                if let Some(sum) = sum {
+                    let middle = (SQUARE - 1) as f64 / 2.0;
+                    squares.push(Square {
+                        x: (column * SQUARE) as f64 + middle,
+                        y: (row * SQUARE) as f64 + middle,
+                        gain: 3 * index + channel,
+                        ln_exposure: (sum / (SQUARE * SQUARE) as f64).ln(),
+                    });
+                }
+            }
+        }
+    }
+}
+
+/// Gauss-Newton over the centre, the three coefficients and a gain for every channel of every flat field.
+fn fit(squares: &[Square], flats: usize, picture: &Picture) -> Vignetting {
+    let (width, height) = (f64::from(picture.width), f64::from(picture.height));
+    let half = 0.25 * (width * width + height * height);
+    let mut v = Vignetting {
+        width: picture.width,
+        height: picture.height,
+        centre_x: (width - 1.0) / 2.0,
+        centre_y: (height - 1.0) / 2.0,
+        coefficients: [0.0; 3],
+        residual: 0.0,
+    };
+    let unknowns = 5 + 3 * flats;
+    let mut gains = vec![0.0; 3 * flats];
+    // The first step finds the coefficients; only then does the centre mean anything.
+    for _ in 0..12 {
+        let (mut matrix, mut right) = (DMatrix::<f64>::zeros(unknowns, unknowns), DVector::<f64>::zeros(unknowns));
+        let mut squared = 0.0;
+        for s in squares {
+            let (dx, dy) = (s.x - v.centre_x, s.y - v.centre_y);
+            let r2 = (dx * dx + dy * dy) / half;
+            let [a, b, c] = v.coefficients;
+            let by_r2 = a + r2 * (2.0 * b + r2 * 3.0 * c);
+            let residual = s.ln_exposure - gains[s.gain] - r2 * (a + r2 * (b + r2 * c));
+            squared += residual * residual;
+            let row = [
+                (0, r2),
+                (1, r2 * r2),
+                (2, r2 * r2 * r2),
+                (3, -2.0 * dx / half * by_r2),
+                (4, -2.0 * dy / half * by_r2),
+                (5 + s.gain, 1.0),
+            ];
+            for (i, p) in row {
+                right[i] += p * residual;
+                for (k, q) in row {
+                    matrix[(i, k)] += p * q;
+                }
+            }
+        }
+        v.residual = (squared / squares.len() as f64).sqrt();
+        // A centre without fall-off cannot be seen: a faint pull keeps it where it is.
+        for (i, faint) in [(0, 1e-9), (1, 1e-9), (2, 1e-9), (3, 1e-6), (4, 1e-6)] {
+            matrix[(i, i)] += faint * squares.len() as f64 * if i < 3 { 1.0 } else { 1.0 / half };
+        }
+        let Some(step) = matrix.cholesky().map(|factor| factor.solve(&right)) else { break };
+        for k in 0..3 {
+            v.coefficients[k] += step[k];
+        }
+        v.centre_x = (v.centre_x + step[3]).clamp(0.0, width);
+        v.centre_y = (v.centre_y + step[4]).clamp(0.0, height);
+        gains.iter_mut().zip(step.iter().skip(5)).for_each(|(gain, s)| *gain += s);
+    }
+    v
+}

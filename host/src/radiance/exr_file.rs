@@ -1,0 +1,147 @@
+//! Radiance in OpenEXR: channels `R G B`, `variance.R variance.G variance.B` and `mask`, which any EXR viewer opens.
+
+use std::path::Path;
+
+use exr::prelude::{
+    AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, SmallVec, WritableImage,
+    attribute::AttributeValue, read_all_flat_layers_from_file,
+};
+
+use super::{Mask, RadianceImage};
+use crate::{Error, Result, file};
+
+/// The attribute that tells Rigel's radiance from other pictures, and its version.
+const KIND: &str = "rigelRadiance";
+const VERSION: i32 = 1;
+const COLOURS: [&str; 3] = ["R", "G", "B"];
+const VARIANCES: [&str; 3] = ["variance.R", "variance.G", "variance.B"];
+
+impl RadianceImage {
+    /// Writes the view as OpenEXR: 32-bit floats, the mask as unsigned integers, ZIP-compressed without loss.
+    /// `response` names the response that fixed the unit (a file name, or "srgb"); it is kept as an attribute.
+    ///
+    /// # Errors
+    /// [`Error::Io`] where the file cannot be written; what stood there before then stays.
+    pub fn write_exr(&self, path: &Path, response: &str) -> Result<()> {
+        let plane = |pixels: &[[f32; 3]], c: usize| FlatSamples::F32(pixels.iter().map(|p| p[c]).collect());
+        let mut channels = SmallVec::new();
+        for c in 0..3 {
+            channels.push(AnyChannel::new(COLOURS[c], plane(&self.radiance, c)));
+            channels.push(AnyChannel::new(VARIANCES[c], plane(&self.variance, c)));
+        }
+        let mask = FlatSamples::U32(self.mask.iter().map(|&m| u32::from(m)).collect());
+        channels.push(AnyChannel::new("mask", mask));
+
+        let mut attributes = LayerAttributes::default();
+        attributes.software_name = Some(concat!("rigel ", env!("CARGO_PKG_VERSION")).into());
+        let unit = "what reaches the middle level of the response in one second; variance in its square";
+        for (name, value) in [
+            (KIND, AttributeValue::I32(VERSION)),
+            ("rigelUnit", AttributeValue::Text(unit.into())),
+            ("rigelResponse", AttributeValue::Text(response.into())),
+            ("rigelMask", AttributeValue::Text("1 saturated (lower bound), 2 dark (upper bound)".into())),
+        ] {
+            attributes.other.insert(name.into(), value);
+        }
+        let size = (self.width as usize, self.height as usize);
+        let layer = Layer::new(size, attributes, Encoding::SMALL_LOSSLESS, AnyChannels::sort(channels));
+        file::write_beside(path, |temporary| {
+            Image::from_layer(layer).write().to_file(temporary).map_err(|e| match e {
+                exr::error::Error::Io(source) => Error::io("write", path)(source),
+                other => Error::io("write", path)(std::io::Error::other(other.to_string())),
+            })
+        })
+    }
+
+    /// Reads what [`RadianceImage::write_exr`] wrote, bit by bit the same.
+    ///
+    /// # Errors
+    /// [`Error::Io`] where the file is not there; [`Error::Input`] where it is damaged or another kind of EXR.
+    pub fn read_exr(path: &Path) -> Result<Self> {
+        let remedy = "give a radiance file that `rigel radiance` wrote, or make it again";
+        let image = read_all_flat_layers_from_file(path).map_err(|e| match e {
+            exr::error::Error::Io(source) if source.kind() != std::io::ErrorKind::UnexpectedEof => {
+                Error::io("read", path)(source)
+            }
+            other => Error::input(path, format!("cannot be read as OpenEXR ({other})"), remedy),
+        })?;
+        let layer = image.layer_data.into_iter().next();
+        let layer = layer.ok_or_else(|| Error::input(path, "it has no layer", remedy))?;
+        match layer.attributes.other.get(KIND.as_bytes()) {
+            Some(AttributeValue::I32(VERSION)) => {}
+            Some(other) => {
+                let what = format!("its version of radiance is {other:?}, this program reads {VERSION}");
+                return Err(Error::input(path, what, "use the program that wrote it, or make it again"));
+            }
+            None => return Err(Error::input(path, "an OpenEXR file, but not Rigel's radiance", remedy)),
+        }
+        let samples = |name: &str| {
+            let found = layer.channel_data.list.iter().find(|channel| channel.name.eq(name));
+            found
+                .map(|channel| &channel.sample_data)
+                .ok_or_else(|| Error::input(path, format!("the channel {name} is missing"), remedy))
+        };
+        let planes = |names: [&str; 3]| -> Result<Vec<[f32; 3]>> {
+            let mut pixels = vec![[0.0; 3]; layer.size.area()];
+            for (c, name) in names.into_iter().enumerate() {
+                let FlatSamples::F32(plane) = samples(name)? else {
+                    return Err(Error::input(path, format!("the channel {name} is not 32-bit float"), remedy));
+                };
+                pixels.iter_mut().zip(plane).for_each(|(pixel, &value)| pixel[c] = value);
+            }
+            Ok(pixels)
+        };
+        let mask = samples("mask")?.values_as_f32().map(|m| m as Mask).collect();
+        let (width, height) = (layer.size.width() as u32, layer.size.height() as u32);
+        Ok(Self { width, height, radiance: planes(COLOURS)?, variance: planes(VARIANCES)?, mask })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn image() -> RadianceImage {
+        let value = |i: usize, c: usize| 1.1f32.powi(i as i32 - 300) * (c + 1) as f32;
+        let pixels = |scale: f32| (0..37 * 19).map(|i| [0, 1, 2].map(|c| scale * value(i, c))).collect();
+        let mut image = RadianceImage {
+            width: 37,
+            height: 19,
+            radiance: pixels(1.0),
+            variance: pixels(1e-3),
+            mask: vec![0; 37 * 19],
+        };
+        image.mask[40] = RadianceImage::SATURATED | RadianceImage::DARK;
+        image.variance[40] = [f32::INFINITY, 1e-30, 0.0];
+        image
+    }
+
+    #[test]
+    fn a_written_view_reads_back_bit_by_bit() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("view.exr");
+        image().write_exr(&path, "response.csv").unwrap();
+        assert_eq!(RadianceImage::read_exr(&path).unwrap(), image());
+        // Any reader of OpenEXR sees an RGB picture.
+        let picture = super::super::Picture::read(&path).unwrap();
+        assert_eq!((picture.width, picture.height), (37, 19));
+    }
+
+    #[test]
+    fn what_is_not_rigels_radiance_is_refused_with_a_remedy() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("view.exr");
+        exr::prelude::write_rgb_file(&path, 4, 4, |_, _| (1.0f32, 1.0f32, 1.0f32)).unwrap();
+        let message = RadianceImage::read_exr(&path).unwrap_err().to_string();
+        assert!(message.contains("view.exr") && message.contains("not Rigel's radiance"), "{message}");
+        image().write_exr(&path, "srgb").unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        for kept in [0, 10, 400, bytes.len() - 100] {
+            std::fs::write(&path, &bytes[..kept]).unwrap();
+            let error = RadianceImage::read_exr(&path).unwrap_err();
+            assert!(matches!(error, Error::Input { .. }), "{kept}: {error}");
+        }
+        let missing = RadianceImage::read_exr(&folder.path().join("none.exr")).unwrap_err();
+        assert!(missing.to_string().contains("check the path"));
+    }
+}

@@ -1,0 +1,203 @@
+//! How much the exposure that a level stands for varies: shot noise, read noise, and the noise of levels themselves.
+
+use serde::{Deserialize, Serialize};
+
+use super::samples::Block;
+use super::{Picture, Response, Samples};
+
+/// The variance of an exposure x (response table's unit), per channel:
+/// `shot * x + read + slope(x)² * level`, where the slope is the response's: exposure per level.
+/// Saved as TOML by its fields.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NoiseModel {
+    /// Variance per exposure: the photons' own.
+    pub shot: [f64; 3],
+    /// Variance of what the sensor adds before the response.
+    pub read: [f64; 3],
+    /// Variance in levels after the response: rounding (1/12) and JPEG's quantisation.
+    pub level: [f64; 3],
+    /// From this level on a pixel counts as saturated.
+    pub saturated_level: [u16; 3],
+    /// Up to this level a pixel counts as too dark.
+    pub dark_level: [u16; 3],
+}
+
+/// What one bin of pairs says: observed variance of relative differences, and what one unit of each term would cause.
+struct Equation {
+    observed: f64,
+    terms: [f64; 3],
+    weight: f64,
+}
+
+impl NoiseModel {
+    /// An ordinary camera: 10,000 electrons at white, 5 of read noise, and half a level of JPEG noise in 8-bit
+    /// pictures. For photographs without a bracket to learn from.
+    pub fn assumed(response: &Response) -> Self {
+        const WELL: f64 = 10_000.0;
+        let white = usize::from(response.white());
+        let full = [0, 1, 2].map(|c| match response.white() {
+            // Half floats reach far beyond what a sensor holds; take 1 for its white.
+            Picture::FLOAT_WHITE => 1.0,
+            _ => f64::from(response.exposure(c)[white]),
+        });
+        let level = if white == 255 { 1.0 / 12.0 + 0.25 } else { 1.0 / 12.0 };
+        let mut noise = Self {
+            shot: full.map(|x| x / WELL),
+            read: full.map(|x| (5.0 * x / WELL).powi(2)),
+            level: [level; 3],
+            // JPEG's ringing leaves clipped pixels a few levels below white.
+            saturated_level: [if white == 255 { 250 } else { (white - white / 100) as u16 }; 3],
+            dark_level: [0; 3],
+        };
+        noise.set_dark_level(response);
+        noise
+    }
+
+    /// Variance of the exposure `x` where one level means `slope` of it.
+    pub(super) fn variance(&self, channel: usize, x: f64, slope: f64) -> f64 {
+        self.shot[channel] * x.max(0.0) + self.read[channel] + slope * slope * self.level[channel]
+    }
+
+    /// Variance of the exposure at a level, relative to its square.
+    pub(super) fn relative_variance(&self, response: &Response, channel: usize, level: usize) -> f64 {
+        let x = f64::from(response.exposure(channel)[level]);
+        let slope = f64::from(response.slope(channel, level));
+        self.variance(channel, x, slope) / (x * x).max(f64::MIN_POSITIVE)
+    }
+
+    /// A level is too dark where the standard deviation is more than half of the exposure.
+    fn set_dark_level(&mut self, response: &Response) {
+        let middle = usize::from(response.white()) / 2;
+        for channel in 0..3 {
+            let dark = (1..middle).rev().find(|&z| self.relative_variance(response, channel, z) > 0.25);
+            self.dark_level[channel] = dark.unwrap_or(0) as u16;
+        }
+    }
+}
+
+impl Samples {
+    /// The noise of the camera, from how much the exposures of a block contradict each other; what the samples do not
+    /// show keeps the value of [`NoiseModel::assumed`].
+    pub fn noise(&self, response: &Response) -> NoiseModel {
+        let mut noise = NoiseModel::assumed(response);
+        for channel in 0..3 {
+            if let Some(limit) = saturation(&self.blocks, response, channel, noise.saturated_level[channel]) {
+                noise.saturated_level[channel] = limit;
+            }
+            let equations = equations(&self.blocks, response, channel, noise.saturated_level[channel]);
+            if equations.len() >= 8 {
+                // Rounding is certain, so it is taken out first and put back.
+                let rounding = 1.0 / 12.0;
+                let terms = fit(&equations, rounding);
+                [noise.shot[channel], noise.read[channel]] = [terms[0], terms[1]];
+                noise.level[channel] = rounding + terms[2];
+            }
+        }
+        noise.set_dark_level(response);
+        noise
+    }
+}
+
+/// Pairs of neighbouring exposures of each pixel, gathered by brightness and ratio of times.
+fn equations(blocks: &[Block], response: &Response, channel: usize, saturated: u16) -> Vec<Equation> {
+    let table = response.exposure(channel);
+    let mut bins: std::collections::BTreeMap<(i32, i32), (Vec<f64>, [f64; 3])> = Default::default();
+    for block in blocks {
+        for i in 1..block.levels.len() {
+            let times = [block.exposure_s[i - 1], block.exposure_s[i]];
+            let stops = (times[0] / times[1]).log2();
+            if !(0.1..=4.0).contains(&stops) {
+                continue;
+            }
+            for (a, b) in block.levels[i - 1].iter().zip(&block.levels[i]) {
+                let levels = [usize::from(a[channel]), usize::from(b[channel])];
+                if levels[1] == 0 || levels[0] >= usize::from(saturated) {
+                    continue;
+                }
+                let x = levels.map(|z| f64::from(table[z]));
+                let radiance = (x[0] + x[1]) / (times[0] + times[1]);
+                let mut terms = [0.0; 3];
+                for ((&z, x), t) in levels.iter().zip(x).zip(times) {
+                    let unit = (radiance * t).powi(-2);
+                    terms[0] += x * unit;
+                    terms[1] += unit;
+                    terms[2] += f64::from(response.slope(channel, z)).powi(2) * unit;
+                }
+                let key = ((4.0 * (radiance * times[0]).log2()) as i32, (4.0 * stops).round() as i32);
+                let (differences, sums) = bins.entry(key).or_default();
+                differences.push((x[0] / times[0] - x[1] / times[1]) / radiance);
+                sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
+            }
+        }
+    }
+    bins.into_values().filter(|(d, _)| d.len() >= 64).map(|(d, sums)| equation(d, sums)).collect()
+}
+
+fn equation(mut differences: Vec<f64>, sums: [f64; 3]) -> Equation {
+    let count = differences.len();
+    differences.sort_by(f64::total_cmp);
+    let median = differences[count / 2];
+    differences.iter_mut().for_each(|d| *d = (*d - median).abs());
+    differences.sort_by(f64::total_cmp);
+    // The variance of all but the few that something else than noise disturbed: a ghost, a moved edge.
+    let limit = 4.0 * differences[count * 683 / 1000];
+    let kept = differences.partition_point(|&d| d <= limit);
+    let observed = differences[..kept].iter().map(|d| d * d).sum::<f64>() / kept as f64;
+    Equation { observed, terms: sums.map(|sum| sum / count as f64), weight: (count as f64).sqrt().min(100.0) }
+}
+
+/// Shot, read and level variance, none negative, that explain the bins best, each by its relative error.
+/// At least `rounding` of level variance is taken as given and not returned.
+fn fit(equations: &[Equation], rounding: f64) -> [f64; 3] {
+    let mut terms = [0.0; 3];
+    let scale: [f64; 3] =
+        [0, 1, 2].map(|k| equations.iter().map(|e| e.terms[k]).sum::<f64>() / equations.len() as f64);
+    // Coordinate descent on the non-negative quadratic; the weights follow the prediction, which a small observed
+    // variance would otherwise draw down.
+    for round in 0..400 {
+        for k in 0..3 {
+            let (mut up, mut down) = (0.0, 0.0);
+            for e in equations {
+                let given = rounding * e.terms[2];
+                let predicted = given + (0..3).map(|j| terms[j] * e.terms[j]).sum::<f64>();
+                let expected = if round < 20 { e.observed.max(given) } else { predicted };
+                let weight = e.weight / (expected * expected).max(f64::MIN_POSITIVE);
+                up += weight * e.terms[k] * (e.observed - predicted);
+                down += weight * e.terms[k] * e.terms[k];
+            }
+            if down > 0.0 && scale[k] > 0.0 {
+                terms[k] = (terms[k] + up / down).max(0.0);
+            }
+        }
+    }
+    terms
+}
+
+/// The lowest level near white at which clipped pixels are found: such a level was seen where the shorter exposures
+/// say that white was passed. `None` where nothing came near.
+fn saturation(blocks: &[Block], response: &Response, channel: usize, assumed: u16) -> Option<u16> {
+    let table = response.exposure(channel);
+    let white = usize::from(response.white());
+    // Below three quarters of white only something other than clipping explains a contradiction.
+    let lowest = white * 3 / 4;
+    let bins = 256.min(white + 1);
+    let bin_of = |z: usize| z * bins / (white + 1);
+    let (mut seen, mut clipped) = (vec![0u32; bins], vec![0u32; bins]);
+    for block in blocks {
+        for i in 1..block.levels.len() {
+            for (a, b) in block.levels[i - 1].iter().zip(&block.levels[i]) {
+                let (long, short) = (usize::from(a[channel]), usize::from(b[channel]));
+                if long < lowest || short == 0 || short >= usize::from(assumed) {
+                    continue;
+                }
+                let expected = f64::from(table[short]) * block.exposure_s[i - 1] / block.exposure_s[i];
+                seen[bin_of(long)] += 1;
+                clipped[bin_of(long)] += u32::from(expected > 1.05 * f64::from(table[white]));
+            }
+        }
+    }
+    let first = (bin_of(lowest)..bins).rev().find(|&k| seen[k] >= 16 && clipped[k] * 10 < seen[k])?;
+    // The level after the last good one, but never above what is assumed without data.
+    let level = (first + 1) * (white + 1) / bins;
+    Some((level as u16).min(assumed))
+}

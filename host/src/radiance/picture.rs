@@ -1,0 +1,239 @@
+//! Photographs as the camera wrote them: levels, before any meaning is given to them.
+
+use std::path::{Path, PathBuf};
+
+use ::image::{DynamicImage, ImageReader};
+use half::f16;
+
+use crate::{Error, Result};
+
+/// One photograph's levels, row by row from the top-left pixel.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Picture {
+    /// The file it was read from, to name it in messages; empty for a picture made in memory.
+    pub path: PathBuf,
+    /// Width, pixels.
+    pub width: u32,
+    /// Height, pixels.
+    pub height: u32,
+    /// Red, green and blue levels, `width * height` of them, 0 to `white`.
+    pub levels: Vec<[u16; 3]>,
+    /// The highest level: 255 or 65535, or [`Picture::FLOAT_WHITE`] where the levels are the bits of half floats.
+    pub white: u16,
+}
+
+impl Picture {
+    /// The highest level of a picture of floating-point numbers: the bits of the largest finite half float. The bits of
+    /// positive half floats are ordered as the numbers are, so they serve as levels with 11 significant bits over
+    /// 9 decades, and [`Response::linear`](super::Response::linear) turns them back into numbers.
+    pub const FLOAT_WHITE: u16 = 0x7bff;
+
+    /// Reads a JPEG, PNG, TIFF, Radiance HDR or OpenEXR picture. Levels are taken as they stand: EXIF orientation and
+    /// colour profiles are ignored, since lens and response belong to the sensor. Grey pictures get three equal channels.
+    ///
+    /// # Errors
+    /// [`Error::Io`] where the file cannot be read, [`Error::Input`] where it is not a picture or is cut short.
+    pub fn read(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
+        if bytes.starts_with(&[0xff, 0xd8]) && !jpeg_is_complete(&bytes) {
+            // The decoder would fill what is missing with grey.
+            return Err(Error::input(path, "the photograph is cut short", "copy it from the camera again"));
+        }
+        if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
+            return read_exr(path, &bytes);
+        }
+        let decoded = ImageReader::new(std::io::Cursor::new(&bytes))
+            .with_guessed_format()
+            .map_err(Error::io("read", path))?
+            .decode()
+            .map_err(|e| {
+                let remedy = "give a complete JPEG, PNG, TIFF, HDR or EXR photograph";
+                Error::input(path, format!("cannot be decoded as a picture ({e})"), remedy)
+            })?;
+        let (width, height) = (decoded.width(), decoded.height());
+        let (levels, white) = match decoded {
+            DynamicImage::ImageRgb32F(_) | DynamicImage::ImageRgba32F(_) => {
+                (decoded.to_rgb32f().pixels().map(|p| p.0.map(half_level)).collect(), Self::FLOAT_WHITE)
+            }
+            DynamicImage::ImageLuma8(_)
+            | DynamicImage::ImageLumaA8(_)
+            | DynamicImage::ImageRgb8(_)
+            | DynamicImage::ImageRgba8(_) => {
+                (decoded.to_rgb8().pixels().map(|p| p.0.map(u16::from)).collect(), 255)
+            }
+            _ => (decoded.to_rgb16().pixels().map(|p| p.0).collect(), u16::MAX),
+        };
+        Ok(Self { path: path.into(), width, height, levels, white })
+    }
+}
+
+/// Photographs of one view from one place, that differ in their exposure time only.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Stack {
+    /// The photographs, in any order.
+    pub pictures: Vec<Picture>,
+    /// The exposure time of each, seconds.
+    pub exposure_s: Vec<f64>,
+}
+
+impl Stack {
+    /// Puts photographs and their exposure times together.
+    ///
+    /// # Errors
+    /// [`Error::Request`] without photographs or with another number of times; [`Error::Input`] naming the photograph
+    /// whose time is not a positive number, or whose size or depth differs from the first one's.
+    pub fn new(pictures: Vec<Picture>, exposure_s: Vec<f64>) -> Result<Self> {
+        let Some(first) = pictures.first() else {
+            return Err(Error::request("a stack without photographs", "give at least one photograph per view"));
+        };
+        if pictures.len() != exposure_s.len() {
+            return Err(Error::request(
+                format!("{} photographs but {} exposure times", pictures.len(), exposure_s.len()),
+                "give one exposure time for each photograph",
+            ));
+        }
+        for (picture, &time_s) in pictures.iter().zip(&exposure_s) {
+            if !(time_s.is_finite() && time_s > 0.0) {
+                let what = format!("its exposure time is {time_s} s");
+                return Err(Error::input(&picture.path, what, "give a positive exposure time in seconds"));
+            }
+            if (picture.width, picture.height, picture.white) != (first.width, first.height, first.white) {
+                let what = format!(
+                    "it is {}x{} with levels up to {}, the first photograph of the view is {}x{} with levels up to {}",
+                    picture.width, picture.height, picture.white, first.width, first.height, first.white
+                );
+                let remedy = "give photographs of one view as one camera setting wrote them";
+                return Err(Error::input(&picture.path, what, remedy));
+            }
+        }
+        Ok(Self { pictures, exposure_s })
+    }
+
+    /// The highest level of its photographs.
+    pub fn white(&self) -> u16 {
+        self.pictures[0].white
+    }
+}
+
+fn half_level(value: f32) -> u16 {
+    // A comparison, not `max`: what is not a number becomes 0, which every merge takes as too dark.
+    if value > 0.0 { f16::from_f32(value).to_bits().min(Picture::FLOAT_WHITE) } else { 0 }
+}
+
+fn read_exr(path: &Path, bytes: &[u8]) -> Result<Picture> {
+    use exr::prelude::{ReadChannels, ReadLayers, read};
+    let image = read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .rgb_channels(
+            |size, _| (size.width(), vec![[0u16; 3]; size.area()]),
+            |(width, levels): &mut (usize, Vec<[u16; 3]>), at, (r, g, b): (f32, f32, f32)| {
+                levels[at.y() * *width + at.x()] = [r, g, b].map(half_level);
+            },
+        )
+        .first_valid_layer()
+        .all_attributes()
+        .from_buffered(std::io::Cursor::new(bytes))
+        .map_err(|e| {
+            let what = format!("cannot be decoded as an OpenEXR picture ({e})");
+            Error::input(path, what, "give a complete OpenEXR file with channels R, G and B")
+        })?;
+    let size = image.layer_data.size;
+    let (width, height) = (size.width() as u32, size.height() as u32);
+    let levels = image.layer_data.channel_data.pixels.1;
+    Ok(Picture { path: path.into(), width, height, levels, white: Picture::FLOAT_WHITE })
+}
+
+/// Whether the scan of a JPEG file is followed by its end marker; a thumbnail's own end marker does not count.
+fn jpeg_is_complete(bytes: &[u8]) -> bool {
+    let mut at = 2;
+    while let Some(&[marker, kind, high, low]) = bytes.get(at..at + 4) {
+        if marker != 0xff {
+            return false;
+        }
+        if kind == 0xda {
+            return bytes[at..].windows(2).any(|pair| pair == [0xff, 0xd9]);
+        }
+        // A marker may be preceded by fill bytes.
+        at += if kind == 0xff { 1 } else { 2 + usize::from(u16::from_be_bytes([high, low])) };
+    }
+    false
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn gradient() -> ::image::RgbImage {
+        ::image::RgbImage::from_fn(40, 30, |x, y| ::image::Rgb([x as u8, y as u8, (x * y % 251) as u8]))
+    }
+
+    #[test]
+    fn lossless_pictures_keep_their_levels() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["a.png", "a.tiff"] {
+            let path = folder.path().join(name);
+            gradient().save(&path).unwrap();
+            let picture = Picture::read(&path).unwrap();
+            assert_eq!((picture.width, picture.height, picture.white), (40, 30, 255));
+            assert_eq!(picture.levels[12 * 40 + 7], [7, 12, 84]);
+        }
+        let path = folder.path().join("deep.png");
+        let deep = ::image::ImageBuffer::from_fn(3, 2, |x, _| ::image::Rgb([x as u16 * 20000, 513u16, 65535]));
+        DynamicImage::ImageRgb16(deep).save(&path).unwrap();
+        let picture = Picture::read(&path).unwrap();
+        assert_eq!((picture.white, picture.levels[2]), (65535, [40000, 513, 65535]));
+    }
+
+    #[test]
+    fn float_pictures_keep_eleven_bits() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.exr");
+        let value = |x: usize, y: usize| 1e-3 * 1.37f32.powi((x + 5 * y) as i32);
+        exr::prelude::write_rgb_file(&path, 8, 6, |x, y| (value(x, y), 2.0 * value(x, y), -1.0f32)).unwrap();
+        let picture = Picture::read(&path).unwrap();
+        for y in 0..6 {
+            for x in 0..8 {
+                let level = picture.levels[y * 8 + x];
+                assert!((f16::from_bits(level[0]).to_f32() / value(x, y) - 1.0).abs() < 5e-4);
+                assert_eq!(level[2], 0);
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_no_complete_picture_is_named_with_a_remedy() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["a.jpg", "a.png", "a.tiff"] {
+            let path = folder.path().join(name);
+            gradient().save(&path).unwrap();
+            Picture::read(&path).unwrap();
+            let bytes = std::fs::read(&path).unwrap();
+            for kept in [0, 3, 100, bytes.len() * 2 / 3] {
+                std::fs::write(&path, &bytes[..kept]).unwrap();
+                let message = Picture::read(&path).unwrap_err().to_string();
+                assert!(message.contains(name) && message.contains("; "), "{kept}: {message}");
+            }
+        }
+        let missing = Picture::read(folder.path().join("none.jpg")).unwrap_err().to_string();
+        assert!(missing.contains("none.jpg") && missing.contains("check the path"));
+    }
+
+    #[test]
+    fn a_stack_of_unlike_photographs_names_the_odd_one() {
+        let make = |name: &str, width| Picture {
+            path: name.into(),
+            width,
+            height: 1,
+            levels: vec![[1; 3]; width as usize],
+            white: 255,
+        };
+        let error = Stack::new(vec![make("a.jpg", 4), make("b.jpg", 5)], vec![1.0, 2.0]).unwrap_err();
+        assert!(matches!(&error, Error::Input { path, .. } if path.ends_with("b.jpg")));
+        assert!(Stack::new(vec![make("a.jpg", 4), make("b.jpg", 4)], vec![1.0]).is_err());
+        assert!(Stack::new(vec![make("a.jpg", 4)], vec![f64::NAN]).is_err());
+        assert!(Stack::new(vec![make("a.jpg", 4)], vec![0.0]).is_err());
+        assert!(Stack::new(vec![], vec![]).is_err());
+    }
+}

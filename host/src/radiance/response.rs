@@ -1,0 +1,166 @@
+//! The camera's response: which exposure (radiance times time) gives which level.
+
+use std::path::Path;
+
+use half::f16;
+
+use super::Picture;
+use crate::{Error, Result, file};
+
+/// Exposure per level and channel; never decreasing, and 1 at the middle level, so that it fixes the session's unit of
+/// radiance: what reaches the middle level in one second.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Response {
+    exposure: [Vec<f32>; 3],
+}
+
+impl Response {
+    /// A response from a table of exposures per channel, one entry per level from 0 to white; scaled to 1 at the middle.
+    pub(super) fn from_tables(mut exposure: [Vec<f32>; 3]) -> Self {
+        for table in &mut exposure {
+            let middle = table[middle_level(table.len())];
+            table.iter_mut().for_each(|x| *x /= middle);
+        }
+        Self { exposure }
+    }
+
+    /// What cameras write that follow the standard (IEC 61966-2-1), for photographs without a bracket to learn from.
+    /// `white` is the highest level, 255 or 65535.
+    pub fn srgb(white: u16) -> Self {
+        Self::from_curve(white, |v| if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) })
+    }
+
+    /// Levels proportional to exposure, for raw and floating-point pictures ([`Picture::FLOAT_WHITE`]).
+    pub fn linear(white: u16) -> Self {
+        if white == Picture::FLOAT_WHITE {
+            // The numbers keep their unit: no scaling to a middle.
+            let table: Vec<f32> = (0..=white).map(|bits| f16::from_bits(bits).to_f32()).collect();
+            return Self { exposure: [table.clone(), table.clone(), table] };
+        }
+        Self::from_curve(white, |v| v)
+    }
+
+    fn from_curve(white: u16, curve: impl Fn(f64) -> f64) -> Self {
+        let table: Vec<f32> =
+            (0..=white).map(|level| curve(f64::from(level) / f64::from(white)) as f32).collect();
+        Self::from_tables([table.clone(), table.clone(), table])
+    }
+
+    /// The exposure of each level of a channel (0 red, 1 green, 2 blue), in the session's unit times seconds.
+    pub fn exposure(&self, channel: usize) -> &[f32] {
+        &self.exposure[channel]
+    }
+
+    /// The highest level it knows.
+    pub fn white(&self) -> u16 {
+        (self.exposure[0].len() - 1) as u16
+    }
+
+    /// How much exposure one level more means, at `level`.
+    pub(super) fn slope(&self, channel: usize, level: usize) -> f32 {
+        let table = &self.exposure[channel];
+        let (low, high) = (level.saturating_sub(1), (level + 1).min(table.len() - 1));
+        (table[high] - table[low]) / (high - low) as f32
+    }
+
+    /// Writes a table with the columns `level,R,G,B`.
+    ///
+    /// # Errors
+    /// [`Error::Io`] where the file cannot be written.
+    pub fn write_csv(&self, path: &Path) -> Result<()> {
+        let mut text = String::from("level,R,G,B\n");
+        for level in 0..=usize::from(self.white()) {
+            let [r, g, b] = [0, 1, 2].map(|c| self.exposure[c][level]);
+            text.push_str(&format!("{level},{r:e},{g:e},{b:e}\n"));
+        }
+        file::write_bytes(path, text.as_bytes())
+    }
+
+    /// Reads what [`Response::write_csv`] wrote, or a table made by hand for the same purpose; the values are kept as
+    /// they stand.
+    ///
+    /// # Errors
+    /// [`Error::Io`], or [`Error::Input`] naming the line that breaks the order of levels or is negative, not finite or
+    /// less than the line before.
+    pub fn read_csv(path: &Path) -> Result<Self> {
+        let remedy = "recover the response again, or give the columns level,R,G,B with a line per level from 0";
+        let text = std::fs::read_to_string(path).map_err(Error::io("read", path))?;
+        let mut reader = csv::Reader::from_reader(text.as_bytes());
+        let mut exposure = [const { Vec::new() }; 3];
+        for (expected, row) in reader.deserialize::<(usize, f32, f32, f32)>().enumerate() {
+            let line = expected + 2;
+            let (level, r, g, b) =
+                row.map_err(|e| Error::input(path, format!("line {line} is unreadable ({e})"), remedy))?;
+            if level != expected {
+                let what = format!("line {line} has level {level} where {expected} is due");
+                return Err(Error::input(path, what, remedy));
+            }
+            for (table, value) in exposure.iter_mut().zip([r, g, b]) {
+                if !value.is_finite() || value < table.last().copied().unwrap_or(0.0) {
+                    let what = format!("the exposure {value} in line {line} is less than the one before");
+                    return Err(Error::input(path, what, remedy));
+                }
+                table.push(value);
+            }
+        }
+        let levels = exposure[0].len();
+        let known = [255, u16::MAX, Picture::FLOAT_WHITE].iter().any(|&white| usize::from(white) + 1 == levels);
+        if !known {
+            return Err(Error::input(path, format!("it has {levels} levels, not 256 or 65536"), remedy));
+        }
+        Ok(Self { exposure })
+    }
+}
+
+fn middle_level(levels: usize) -> usize {
+    levels / 2
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_written_response_reads_back_exactly() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("response.csv");
+        for response in [Response::srgb(255), Response::linear(255), Response::linear(Picture::FLOAT_WHITE)] {
+            response.write_csv(&path).unwrap();
+            assert_eq!(Response::read_csv(&path).unwrap(), response);
+        }
+    }
+
+    #[test]
+    fn a_broken_table_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("response.csv");
+        Response::srgb(255).write_csv(&path).unwrap();
+        let good = std::fs::read_to_string(&path).unwrap();
+        let lines: Vec<&str> = good.lines().collect();
+        let broken = [
+            lines[..200].join("\n"),
+            good.replace("\n100,", "\n101,"),
+            good.replacen("e0", "x", 1),
+            [&lines[..100], &["99,0,0,0"], &lines[101..]].concat().join("\n"),
+            good.replace("\n90,", "\n90,NaN,"),
+        ];
+        for text in broken {
+            std::fs::write(&path, text).unwrap();
+            let message = Response::read_csv(&path).unwrap_err().to_string();
+            assert!(message.contains("response.csv") && message.contains("recover the response"), "{message}");
+        }
+    }
+
+    #[test]
+    fn every_standard_response_grows_and_is_one_in_the_middle() {
+        for response in [Response::srgb(255), Response::srgb(65535), Response::linear(255)] {
+            for channel in 0..3 {
+                let table = response.exposure(channel);
+                assert!(table.windows(2).all(|pair| pair[0] < pair[1]));
+                assert_eq!(table[table.len() / 2], 1.0);
+            }
+        }
+        let float = Response::linear(Picture::FLOAT_WHITE);
+        assert_eq!(float.exposure(1)[usize::from(f16::from_f32(0.25).to_bits())], 0.25);
+    }
+}
