@@ -12,5 +12,6 @@ pub mod observation;
 pub mod parameter_map;
 pub mod progress;
 pub mod radiance;
+pub mod rig;
 
 pub use error::{Error, Result};
