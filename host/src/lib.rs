@@ -15,5 +15,6 @@ pub mod progress;
 pub mod radiance;
 pub mod session;
 pub mod units;
+pub mod rig;
 
 pub use error::{Error, Result};
