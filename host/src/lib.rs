@@ -4,6 +4,7 @@
 //! `geometry` → `rig`, `camera`, `sampling` → `session` → `radiance`, `calibration` → `observation` → `fit`,
 //! `parameter_map` → `render` → `evaluate`, `chart`, `report`.
 
+pub mod camera;
 pub mod error;
 pub mod file;
 pub mod fit;
@@ -12,5 +13,6 @@ pub mod observation;
 pub mod parameter_map;
 pub mod progress;
 pub mod radiance;
+pub mod render;
 
 pub use error::{Error, Result};
