@@ -5,6 +5,7 @@
 //! `parameter_map` → `render` → `evaluate`, `chart`, `report`.
 
 pub mod camera;
+pub mod chart;
 pub mod error;
 pub mod file;
 pub mod fit;
