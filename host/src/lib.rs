@@ -5,6 +5,8 @@
 //! `parameter_map` → `render` → `evaluate`, `chart`, `report`.
 
 pub mod calibration;
+pub mod camera;
+pub mod chart;
 pub mod error;
 pub mod file;
 pub mod fit;
@@ -16,5 +18,6 @@ pub mod radiance;
 pub mod session;
 pub mod units;
 pub mod rig;
+pub mod render;
 
 pub use error::{Error, Result};

@@ -1,1 +1,4 @@
 //! A simulated rig, camera and surface with a known truth.
+
+pub mod camera;
+pub mod scene;

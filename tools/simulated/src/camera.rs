@@ -1,0 +1,536 @@
+//! A camera that photographs a [`Scene`] through a lens with distortion and vignetting, a response curve and noise,
+//! all of them known.
+
+use std::path::{Path, PathBuf};
+
+use glam::{DVec2, DVec3};
+use image::codecs::jpeg::JpegEncoder;
+use image::codecs::png::PngEncoder;
+use image::{ExtendedColorType, ImageEncoder};
+use rand::rngs::StdRng;
+use rand::{Rng, SeedableRng};
+use rayon::prelude::*;
+use rigel::camera::{Camera, Taken};
+use rigel::file::write_bytes;
+use rigel::geometry::{Lens, Pose};
+use rigel::radiance::RadianceImage;
+use rigel::{Error, Result};
+
+use crate::scene::Scene;
+
+/// The exposure (radiance times seconds) that just saturates a pixel in the picture's centre.
+const FULL_EXPOSURE: f64 = 0.02;
+/// Electrons in a pixel that is just saturated.
+const FULL_ELECTRONS: f64 = 12_000.0;
+/// Standard deviation of the read noise, electrons.
+const READ_ELECTRONS: f64 = 8.0;
+/// Exposure times are multiples of this, seconds.
+const TICK_S: f64 = 1e-5;
+/// Sub-samples of a pixel, in pixels from its centre.
+const SAMPLES: [DVec2; 4] =
+    [DVec2::new(-0.25, -0.25), DVec2::new(0.25, -0.25), DVec2::new(-0.25, 0.25), DVec2::new(0.25, 0.25)];
+
+/// What a simulated camera is like.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Options {
+    /// Lens and picture size.
+    pub lens: Lens,
+    /// From the camera to the centre of the surface, metres.
+    pub distance_m: f64,
+    /// Shot and read noise.
+    pub noise: bool,
+    /// Whether the picture darkens towards its corners.
+    pub vignetting: bool,
+    /// Quality of the JPEG files; `None` writes PNG.
+    pub jpeg_quality: Option<u8>,
+    /// Seed of the noise.
+    pub seed: u64,
+}
+
+impl Default for Options {
+    /// 320x240 pixels at 0.9 m, a board with its frames just inside the picture however it turns; everything that
+    /// disturbs is on.
+    fn default() -> Self {
+        Self {
+            lens: Lens { k1: -0.5, k2: 0.6, p1: -4e-4, p2: 5e-4, ..Lens::pinhole(320, 240, 700.0) },
+            distance_m: 0.9,
+            noise: true,
+            vignetting: true,
+            jpeg_quality: Some(95),
+            seed: 1,
+        }
+    }
+}
+
+/// A camera in front of a board that a rig turns.
+pub struct SimulatedCamera<R> {
+    eye: Eye,
+    /// Where the rig truly stands: pan and tilt, radians.
+    rig: R,
+    /// The radiance of the pose that was last photographed: a bracket renders once.
+    seen: Option<(Pose, Vec<[f32; 3]>)>,
+    photographs: u64,
+}
+
+/// The part of the camera that many threads share.
+struct Eye {
+    scene: Scene,
+    options: Options,
+    /// Per pixel the unit directions of its sub-samples in the camera frame; `None` where no light comes from.
+    rays: Vec<[Option<DVec3>; 4]>,
+    /// Vignetting of every pixel.
+    transmission: Vec<f64>,
+}
+
+impl<R: Fn() -> (f64, f64)> SimulatedCamera<R> {
+    /// A camera that sees `scene` from [`Pose::from_rig`] of the pan and tilt (radians) that `rig` tells.
+    pub fn new(scene: Scene, options: Options, rig: R) -> Self {
+        let lens = options.lens;
+        let pixels: Vec<DVec2> = (0..lens.height)
+            .flat_map(|y| (0..lens.width).map(move |x| DVec2::new(f64::from(x), f64::from(y))))
+            .collect();
+        let rays = pixels.par_iter().map(|&pixel| SAMPLES.map(|s| lens.unproject(pixel + s))).collect();
+        let transmission =
+            pixels.iter().map(|&p| if options.vignetting { vignetting(&lens, p) } else { 1.0 }).collect();
+        Self { eye: Eye { scene, options, rays, transmission }, rig, seen: None, photographs: 0 }
+    }
+
+    /// The true lens.
+    pub fn lens(&self) -> &Lens {
+        &self.eye.options.lens
+    }
+
+    /// The true pose at this moment.
+    pub fn pose(&self) -> Pose {
+        let (pan_rad, tilt_rad) = (self.rig)();
+        Pose::from_rig(pan_rad, tilt_rad, self.eye.options.distance_m)
+    }
+
+    /// The fraction of the light from the centre that reaches `pixel`: 1 in the centre, about 2/3 in the corners.
+    pub fn vignetting(&self, pixel: DVec2) -> f64 {
+        if self.eye.options.vignetting { vignetting(&self.eye.options.lens, pixel) } else { 1.0 }
+    }
+
+    /// The level (0 to 255, not rounded) that an exposure (radiance times seconds, behind the vignetting) gives in every
+    /// channel, without noise: a linear toe, a power of 0.45 and a soft contrast curve; 255 from saturation upwards.
+    pub fn response(&self, exposure: f64) -> f64 {
+        response(exposure)
+    }
+
+    /// What a perfect camera would measure at `pose`: the scene's radiance averaged over each pixel, through this lens'
+    /// geometry but without vignetting and noise. The variance is 0 and nothing is masked.
+    pub fn truth(&self, pose: &Pose) -> RadianceImage {
+        let radiance = self.eye.render(pose);
+        RadianceImage {
+            width: self.eye.options.lens.width,
+            height: self.eye.options.lens.height,
+            variance: vec![[0.0; 3]; radiance.len()],
+            mask: vec![0; radiance.len()],
+            radiance,
+        }
+    }
+
+    /// The levels of one photograph, RGB row by row, as [`Camera::photograph`] writes them. Each call has new noise.
+    pub fn levels(&mut self, exposure_s: f64) -> Vec<u8> {
+        let pose = self.pose();
+        let radiance = match self.seen.take() {
+            Some((at, radiance)) if at == pose => radiance,
+            _ => self.eye.render(&pose),
+        };
+        self.photographs += 1;
+        let levels = self.eye.develop(&radiance, exposure_s, self.photographs);
+        self.seen = Some((pose, radiance));
+        levels
+    }
+}
+
+impl Eye {
+    fn render(&self, pose: &Pose) -> Vec<[f32; 3]> {
+        let surface = self.scene.surface();
+        let to_surface = pose.camera_from_surface.inverse();
+        let mean = |rays: &[Option<DVec3>; 4]| {
+            let mut sum = DVec3::ZERO;
+            for ray in rays.iter().flatten().map(|&ray| to_surface * ray) {
+                if let Some(point) = surface.intersect(pose.centre_m, ray) {
+                    sum += DVec3::from_array(self.scene.radiance(point, -ray));
+                }
+            }
+            (sum / SAMPLES.len() as f64).as_vec3().to_array()
+        };
+        self.rays.par_iter().map(mean).collect()
+    }
+
+    /// The levels of the `photograph`th photograph. Its noise depends on the seed, that number and the row alone,
+    /// however many threads there are.
+    fn develop(&self, radiance: &[[f32; 3]], exposure_s: f64, photograph: u64) -> Vec<u8> {
+        let width = self.options.lens.width as usize;
+        let mut levels = vec![0; radiance.len() * 3];
+        levels.par_chunks_mut(width * 3).enumerate().for_each(|(row, levels)| {
+            let mut noise =
+                self.options.noise.then(|| Noise::new([self.options.seed, photograph, row as u64]));
+            for (column, level) in levels.chunks_exact_mut(3).enumerate() {
+                let pixel = row * width + column;
+                for c in 0..3 {
+                    let light = f64::from(radiance[pixel][c]) * self.transmission[pixel];
+                    let full = light * exposure_s / FULL_EXPOSURE;
+                    let full = noise.as_mut().map_or(full, |noise| noise.disturb(full));
+                    level[c] = response(full * FULL_EXPOSURE).round() as u8;
+                }
+            }
+        });
+        levels
+    }
+
+    /// A file's extension and content.
+    fn encode(&self, levels: &[u8], exif: Vec<u8>) -> Result<(&'static str, Vec<u8>)> {
+        let (width, height) = (self.options.lens.width, self.options.lens.height);
+        let mut bytes = Vec::new();
+        let written = match self.options.jpeg_quality {
+            Some(quality) => {
+                encode_with(JpegEncoder::new_with_quality(&mut bytes, quality), exif, levels, width, height)
+            }
+            None => encode_with(PngEncoder::new(&mut bytes), exif, levels, width, height),
+        };
+        written.map_err(|error| {
+            Error::request(
+                format!("a picture of {width}x{height} pixels cannot be encoded ({error})"),
+                "choose another picture size",
+            )
+        })?;
+        Ok((if self.options.jpeg_quality.is_some() { ".jpg" } else { ".png" }, bytes))
+    }
+}
+
+impl<R: Fn() -> (f64, f64)> Camera for SimulatedCamera<R> {
+    fn describe(&self) -> String {
+        let Options { lens, noise, vignetting, seed, .. } = self.eye.options;
+        let on = |on| if on { "on" } else { "off" };
+        format!(
+            "simulated camera, {}x{}, noise {} (seed {seed}), vignetting {}",
+            lens.width,
+            lens.height,
+            on(noise),
+            on(vignetting)
+        )
+    }
+
+    fn exposure_range_s(&self) -> [f64; 2] {
+        [1e-4, 2.0]
+    }
+
+    fn photograph(&mut self, exposure_s: f64, stem: &Path) -> Result<Taken> {
+        let [shortest, longest] = self.exposure_range_s();
+        if !(shortest..=longest).contains(&exposure_s) {
+            return Err(Error::request(
+                format!("the simulated camera cannot expose for {exposure_s} s"),
+                format!("choose a time from {shortest} s to {longest} s"),
+            ));
+        }
+        let ticks = (exposure_s / TICK_S).round();
+        let levels = self.levels(ticks * TICK_S);
+        let exif = exif_with_exposure(ticks as u32);
+        let (extension, bytes) = self.eye.encode(&levels, exif)?;
+        // `with_extension` would cut a stem such as "view.3" short.
+        let mut file = stem.as_os_str().to_os_string();
+        file.push(extension);
+        let file = PathBuf::from(file);
+        write_bytes(&file, &bytes)?;
+        Ok(Taken { file, exposure_s: ticks * TICK_S })
+    }
+
+    fn file_size_bytes(&self) -> u64 {
+        let pixels = u64::from(self.eye.options.lens.width) * u64::from(self.eye.options.lens.height);
+        if self.eye.options.jpeg_quality.is_some() { pixels / 2 } else { pixels * 3 }
+    }
+}
+
+fn encode_with(
+    mut encoder: impl ImageEncoder,
+    exif: Vec<u8>,
+    levels: &[u8],
+    width: u32,
+    height: u32,
+) -> image::ImageResult<()> {
+    encoder.set_exif_metadata(exif).map_err(image::ImageError::Unsupported)?;
+    encoder.write_image(levels, width, height, ExtendedColorType::Rgb8)
+}
+
+/// The smallest EXIF block that tells an exposure time: a directory that points to one with one rational number.
+fn exif_with_exposure(ticks: u32) -> Vec<u8> {
+    const LONG: u16 = 4;
+    const RATIONAL: u16 = 5;
+    let directory = |tag: u16, kind: u16, value: u32| {
+        let mut bytes = 1u16.to_le_bytes().to_vec();
+        bytes.extend(tag.to_le_bytes());
+        bytes.extend(kind.to_le_bytes());
+        bytes.extend(1u32.to_le_bytes());
+        bytes.extend(value.to_le_bytes());
+        bytes.extend(0u32.to_le_bytes());
+        bytes
+    };
+    let mut exif = b"II\x2a\0\x08\0\0\0".to_vec();
+    exif.extend(directory(0x8769, LONG, 26)); // the EXIF directory, which follows this one
+    exif.extend(directory(0x829a, RATIONAL, 44)); // ExposureTime, whose value follows the directories
+    exif.extend(ticks.to_le_bytes());
+    exif.extend(((1.0 / TICK_S).round() as u32).to_le_bytes());
+    exif
+}
+
+fn response(exposure: f64) -> f64 {
+    let x = (exposure / FULL_EXPOSURE).clamp(0.0, 1.0);
+    let y = if x < 0.018 { 4.5 * x } else { 1.099 * x.powf(0.45) - 0.099 };
+    255.0 * (y + 0.12 * y * (1.0 - y) * (2.0 * y - 1.0))
+}
+
+fn vignetting(lens: &Lens, pixel: DVec2) -> f64 {
+    let half_diagonal = DVec2::new(f64::from(lens.width), f64::from(lens.height)).length() / 2.0;
+    let r2 = (pixel - DVec2::new(lens.cx, lens.cy)).length_squared() / (half_diagonal * half_diagonal);
+    1.0 - 0.26 * r2 - 0.08 * r2 * r2
+}
+
+/// Shot and read noise from one stream of random numbers.
+struct Noise {
+    random: StdRng,
+    /// Box and Muller's formula gives two numbers at a time.
+    spare: Option<f64>,
+}
+
+impl Noise {
+    fn new(seeds: [u64; 3]) -> Self {
+        let mut seed = [0; 32];
+        for (bytes, value) in seed.chunks_exact_mut(8).zip(seeds) {
+            bytes.copy_from_slice(&value.to_le_bytes());
+        }
+        Self { random: StdRng::from_seed(seed), spare: None }
+    }
+
+    /// What a pixel measures that should measure `full`, as a fraction of saturation.
+    fn disturb(&mut self, full: f64) -> f64 {
+        let electrons = full * FULL_ELECTRONS;
+        // For the thousands of electrons that matter the Poisson distribution is normal.
+        let sigma = (electrons + READ_ELECTRONS * READ_ELECTRONS).sqrt();
+        (electrons + sigma * self.normal()) / FULL_ELECTRONS
+    }
+
+    fn normal(&mut self) -> f64 {
+        if let Some(spare) = self.spare.take() {
+            return spare;
+        }
+        let radius = (-2.0 * (1.0 - self.random.random::<f64>()).ln()).sqrt();
+        let (sin, cos) = (std::f64::consts::TAU * self.random.random::<f64>()).sin_cos();
+        self.spare = Some(radius * sin);
+        radius * cos
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::cell::Cell;
+    use std::fs;
+    use std::rc::Rc;
+
+    fn rig_at(pan_rad: f64, tilt_rad: f64) -> impl Fn() -> (f64, f64) {
+        move || (pan_rad, tilt_rad)
+    }
+
+    fn small() -> Options {
+        let default = Options::default();
+        Options { lens: default.lens.scaled_to(160, 120), ..default }
+    }
+
+    /// Exposure in every pixel and channel, from the truth.
+    fn exposures<R: Fn() -> (f64, f64)>(camera: &SimulatedCamera<R>, exposure_s: f64) -> Vec<f64> {
+        let truth = camera.truth(&camera.pose());
+        let at = |i: usize| DVec2::new((i % truth.width as usize) as f64, (i / truth.width as usize) as f64);
+        let exposure = |(i, rgb): (usize, &[f32; 3])| {
+            let transmission = camera.vignetting(at(i));
+            rgb.map(|radiance| f64::from(radiance) * transmission * exposure_s)
+        };
+        truth.radiance.iter().enumerate().flat_map(exposure).collect()
+    }
+
+    #[test]
+    fn without_noise_a_level_is_the_response_to_the_true_exposure() {
+        let options = Options { noise: false, ..small() };
+        let mut camera = SimulatedCamera::new(Scene::patchwork(), options, rig_at(0.4, 0.5));
+        let expected = exposures(&camera, 0.03);
+        let levels = camera.levels(0.03);
+        for (level, exposure) in levels.iter().zip(&expected) {
+            assert!((f64::from(*level) - camera.response(*exposure)).abs() <= 0.5 + 1e-6);
+        }
+        assert!(levels.contains(&255) && levels.contains(&0), "clips at both ends");
+        assert!(
+            levels.iter().filter(|&&l| l > 20 && l < 250).count() > levels.len() / 10,
+            "and measures between"
+        );
+    }
+
+    #[test]
+    fn noise_grows_with_the_signal_as_shot_and_read_noise_do() {
+        let mut camera = SimulatedCamera::new(Scene::patchwork(), small(), rig_at(0.0, 0.2));
+        let exposure_s = 0.01;
+        let expected = exposures(&camera, exposure_s);
+        let photographs: Vec<Vec<u8>> = (0..8).map(|_| camera.levels(exposure_s)).collect();
+        // (sum of squares, of expected squares, count) for a dark and a bright range of exposures
+        let mut ranges = [(0.02, 0.08, 0.0, 0.0, 0.0), (0.4, 0.8, 0.0, 0.0, 0.0)];
+        for (i, exposure) in expected.iter().enumerate() {
+            let full = exposure / FULL_EXPOSURE;
+            for (low, high, squares, model, count) in &mut ranges {
+                if (*low..*high).contains(&full) {
+                    let slope = (response(exposure * 1.001) - response(exposure * 0.999)) / (full * 0.002);
+                    let variance = (full * FULL_ELECTRONS + READ_ELECTRONS.powi(2)) / FULL_ELECTRONS.powi(2);
+                    for photograph in &photographs {
+                        let error = (f64::from(photograph[i]) - response(*exposure)) / slope;
+                        *squares += error * error;
+                        // Rounding to whole levels adds 1/12.
+                        *model += variance + 1.0 / (12.0 * slope * slope);
+                        *count += 1.0;
+                    }
+                }
+            }
+        }
+        let [dark, bright] = ranges;
+        assert!(dark.4 > 10_000.0 && bright.4 > 10_000.0, "{ranges:?}");
+        for (_, _, squares, model, _) in ranges {
+            assert!((squares / model - 1.0).abs() < 0.03, "{ranges:?}");
+        }
+        assert!(bright.2 / bright.4 > 4.0 * dark.2 / dark.4);
+    }
+
+    #[test]
+    fn noise_differs_between_photographs_and_not_between_runs() {
+        let take = |seed| {
+            let options = Options { seed, ..small() };
+            let mut camera = SimulatedCamera::new(Scene::one_lobe(), options, rig_at(0.1, 0.2));
+            [camera.levels(0.01), camera.levels(0.01)]
+        };
+        let first = take(1);
+        assert_ne!(first[0], first[1]);
+        assert_eq!(first, take(1));
+        assert_ne!(first[0], take(2)[0]);
+    }
+
+    #[test]
+    fn a_bracket_renders_once_and_a_turned_rig_again() {
+        let angle = Rc::new(Cell::new((0.0, 0.2)));
+        let handle = angle.clone();
+        let options = Options { noise: false, ..small() };
+        let mut camera = SimulatedCamera::new(Scene::one_lobe(), options, move || handle.get());
+        let before = camera.levels(0.01);
+        assert_eq!(camera.levels(0.01), before);
+        angle.set((0.3, 0.2));
+        let turned = camera.levels(0.01);
+        assert_ne!(turned, before);
+        let mut fresh = SimulatedCamera::new(Scene::one_lobe(), options, rig_at(0.3, 0.2));
+        assert_eq!(fresh.levels(0.01), turned);
+    }
+
+    #[test]
+    fn the_edge_of_the_sampled_area_appears_where_the_lens_projects_it() {
+        // The white frame's outer edge against the black frame, along all four sides: half of each in the picture.
+        let camera = SimulatedCamera::new(Scene::one_lobe(), Options::default(), rig_at(0.3, 0.4));
+        let (pose, lens) = (camera.pose(), *camera.lens());
+        let truth = camera.truth(&pose);
+        let sample = |pixel: DVec2| {
+            let (base, f) = (pixel.floor(), pixel.fract());
+            let at = |x: f64, y: f64| {
+                f64::from(truth.radiance[(base.y + y) as usize * 320 + (base.x + x) as usize][1])
+            };
+            (at(0.0, 0.0) * (1.0 - f.x) + at(1.0, 0.0) * f.x) * (1.0 - f.y)
+                + (at(0.0, 1.0) * (1.0 - f.x) + at(1.0, 1.0) * f.x) * f.y
+        };
+        let (half_x, half_y) = (0.104, 0.079);
+        for side in [DVec3::X, -DVec3::X, DVec3::Y, -DVec3::Y] {
+            let along = DVec3::new(side.y, side.x, 0.0);
+            let mean = (-60..=60)
+                .map(|i| {
+                    let edge = (side + along * f64::from(i) / 100.0) * DVec3::new(half_x, half_y, 0.0);
+                    let at = |offset_m: f64| {
+                        let point = edge + side * offset_m;
+                        sample(lens.project(pose.to_camera(point)).unwrap())
+                    };
+                    let (inner, outer) = (at(-0.002), at(0.002));
+                    (at(0.0) - outer) / (inner - outer)
+                })
+                .sum::<f64>()
+                / 121.0;
+            // A shift by 0.1 pixel would change this by 0.1.
+            assert!((mean - 0.5).abs() < 0.05, "{side}: {mean}");
+        }
+    }
+
+    #[test]
+    fn the_truth_is_the_scene_s_radiance_where_it_varies_slowly() {
+        let scene = Scene::patchwork();
+        let camera = SimulatedCamera::new(scene.clone(), Options::default(), rig_at(-0.7, 0.6));
+        let (pose, lens) = (camera.pose(), *camera.lens());
+        let truth = camera.truth(&pose);
+        let mut compared = 0;
+        for x in -9..=9 {
+            for y in -6..=6 {
+                let point = DVec3::new(f64::from(x) * 0.01, f64::from(y) * 0.01 + 0.004, 0.0);
+                let Some(pixel) = lens.project(pose.to_camera(point)) else { continue };
+                let ray = pose.direction_to_surface(lens.unproject(pixel.round()).unwrap());
+                let seen = scene.surface().intersect(pose.centre_m, ray).unwrap();
+                if (point.x.abs() % 0.05).min(0.05 - point.x.abs() % 0.05) < 0.002 {
+                    continue; // on the border of two patches
+                }
+                let expected = scene.radiance(seen, -ray);
+                let got = truth.radiance[pixel.round().y as usize * 320 + pixel.round().x as usize];
+                for c in 0..3 {
+                    assert!(
+                        (f64::from(got[c]) / expected[c] - 1.0).abs() < 0.02,
+                        "{point}: {got:?} {expected:?}"
+                    );
+                }
+                compared += 1;
+            }
+        }
+        assert!(compared > 150);
+    }
+
+    #[test]
+    fn a_photograph_is_a_file_that_tells_its_exposure_time() {
+        let folder = tempfile::tempdir().unwrap();
+        for jpeg_quality in [Some(95), None] {
+            let options = Options { jpeg_quality, ..small() };
+            let mut camera = SimulatedCamera::new(Scene::patchwork(), options, rig_at(0.0, 0.3));
+            let taken = camera.photograph(0.012_344, &folder.path().join("view.7")).unwrap();
+            assert!((taken.exposure_s - 0.01234).abs() < 1e-9);
+            let name = taken.file.file_name().unwrap().to_str().unwrap();
+            assert_eq!(name, if jpeg_quality.is_some() { "view.7.jpg" } else { "view.7.png" });
+            let mut reader = std::io::BufReader::new(fs::File::open(&taken.file).unwrap());
+            let exif = exif::Reader::new().read_from_container(&mut reader).unwrap();
+            let field = exif.get_field(exif::Tag::ExposureTime, exif::In::PRIMARY).unwrap();
+            let exif::Value::Rational(time) = &field.value else { panic!("{field:?}") };
+            assert!((time[0].to_f64() - taken.exposure_s).abs() < 1e-9);
+            let picture = image::open(&taken.file).unwrap().to_rgb8();
+            let mut again = SimulatedCamera::new(Scene::patchwork(), options, rig_at(0.0, 0.3));
+            let levels = again.levels(taken.exposure_s);
+            let worst: f64 =
+                picture.iter().zip(&levels).map(|(&a, &b)| (f64::from(a) - f64::from(b)).powi(2)).sum();
+            let rms = (worst / levels.len() as f64).sqrt();
+            assert!(rms < if jpeg_quality.is_some() { 4.0 } else { 1e-9 }, "{rms}");
+            assert!(fs::metadata(&taken.file).unwrap().len() < camera.file_size_bytes() + 1000);
+        }
+    }
+
+    #[test]
+    fn an_impossible_exposure_time_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut camera = SimulatedCamera::new(Scene::one_lobe(), small(), rig_at(0.0, 0.0));
+        for exposure_s in [0.0, -1.0, 5.0, f64::NAN] {
+            let error = camera.photograph(exposure_s, &folder.path().join("a")).unwrap_err();
+            assert!(error.to_string().contains("choose a time"), "{error}");
+        }
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn the_response_rises_and_saturates() {
+        let levels: Vec<f64> = (0..=1000).map(|i| response(FULL_EXPOSURE * f64::from(i) / 1000.0)).collect();
+        assert!(levels.windows(2).all(|pair| pair[1] > pair[0]));
+        assert!(levels[0] == 0.0 && (levels[1000] - 255.0).abs() < 1e-9 && response(1.0) == levels[1000]);
+    }
+}
