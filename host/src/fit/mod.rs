@@ -1,8 +1,20 @@
 //! Fitting a model of radiance against direction to the observations of a texel.
+//!
+//! Per texel the smallest model that reproduces what the views measured is wanted. [`Model`] names the choices and
+//! evaluates them, [`Fitter`] fits one of them, [`choose_model`] ranks several by how well they predict views that the
+//! fit has not seen.
 
-/// A model of the radiance that leaves a texel, as a function of the direction to the viewer.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Model {
-    /// One RGB radiance for all directions.
-    Constant,
-}
+mod fitter;
+pub mod harmonics;
+mod log_quadratic;
+mod model;
+mod phong;
+mod select;
+mod small;
+mod voronoi;
+mod weights;
+
+pub use fitter::{FitFlags, FitOptions, Fitter, TexelFit};
+pub use harmonics::HarmonicsMethod;
+pub use model::{Model, Toward};
+pub use select::{Candidate, choose_model};

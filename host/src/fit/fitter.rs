@@ -1,0 +1,260 @@
+//! One model fitted to texel after texel, and what there is to say about each fit.
+
+use glam::DVec3;
+use nalgebra::DMatrix;
+
+use super::harmonics::{self, HarmonicsMethod};
+use super::model::Model;
+use super::weights::Samples;
+use super::{log_quadratic, phong};
+use crate::observation::TexelObservations;
+use crate::{Error, Result};
+
+/// What a fit may be told.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FitOptions {
+    /// What no model says exactly, as a fraction of the radiance.
+    pub relative_error: f64,
+    /// What no model says exactly, as a radiance; `None`: 5 % of the surface's median radiance.
+    pub floor: Option<f64>,
+    /// Observations that disagree with the rest count less (Huber weights): passers-by, flares, wrong pixels.
+    pub robust: bool,
+    /// Weight of the harmonics' smoothness; `None`: chosen for the surface by generalised cross-validation.
+    pub penalty: Option<f64>,
+}
+
+impl Default for FitOptions {
+    fn default() -> Self {
+        Self { relative_error: 0.03, floor: None, robust: false, penalty: None }
+    }
+}
+
+/// What is doubtful about a texel's fit; kept beside its coefficients.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct FitFlags(pub u8);
+
+impl FitFlags {
+    /// Fewer views measured the texel than the model has unknowns: it is a constant in the model's parameters.
+    pub const TOO_FEW_VIEWS: Self = Self(1);
+    /// No view measured the texel: its radiance is 0 because something must be stored.
+    pub const NO_VIEWS: Self = Self(2);
+    /// A parameter ended at its bound, or a lobe has no radiance.
+    pub const AT_BOUND: Self = Self(4);
+    /// The search ran out of steps.
+    pub const NOT_CONVERGED: Self = Self(8);
+
+    /// Whether all flags of `other` are set.
+    pub fn contains(self, other: Self) -> bool {
+        self.0 & other.0 == other.0
+    }
+
+    fn set(&mut self, other: Self) {
+        self.0 |= other.0;
+    }
+}
+
+/// A fitted texel.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TexelFit {
+    /// As many as [`Model::parameter_count`], always finite.
+    pub parameters: Vec<f32>,
+    /// Root mean square of (model − measured) / expected error over views and channels: about 1 or less is as
+    /// good as the measurement.
+    pub residual: f32,
+    /// Root mean square of model − measured, divided by that of measured.
+    pub relative_residual: f32,
+    /// How many views took part.
+    pub views: u32,
+    /// What is doubtful.
+    pub flags: FitFlags,
+}
+
+/// Fits one model to the texels of one surface.
+pub struct Fitter {
+    model: Model,
+    options: FitOptions,
+    floor: f64,
+    penalty: f64,
+    gram: Option<nalgebra::Cholesky<f64, nalgebra::Dyn>>,
+}
+
+impl Fitter {
+    /// Prepares for a surface of which `sample` holds some texels (a few hundred, spread over it): from them come the
+    /// scale of its radiance and, for smoothed harmonics, the weight of the smoothness.
+    ///
+    /// # Errors
+    /// [`Error::Request`] when no texel of the sample was measured in as many views as the model has unknowns.
+    pub fn new(model: Model, options: &FitOptions, sample: &[TexelObservations]) -> Result<Self> {
+        let views = sample.iter().map(|texel| texel.direction.len()).max().unwrap_or(0);
+        if views < model.unknowns() {
+            return Err(Error::request(
+                format!("{} needs {} views and no texel has more than {views}", model.name(), model.unknowns()),
+                "photograph more views or fit a smaller model (constant needs 1, phong 5, log-quadratic 6)",
+            ));
+        }
+        let floor = options.floor.unwrap_or_else(|| 0.05 * median_radiance(sample));
+        let mut fitter = Self { model, options: *options, floor, penalty: 0.0, gram: None };
+        if let Model::Harmonics { order, method } = model {
+            match method {
+                HarmonicsMethod::Smoothed => {
+                    fitter.penalty = options.penalty.unwrap_or_else(|| fitter.choose_penalty(sample));
+                }
+                HarmonicsMethod::Lsop => fitter.gram = harmonics::hemisphere_gram(usize::from(order)),
+                HarmonicsMethod::ZeroHemisphere => {}
+            }
+        }
+        Ok(fitter)
+    }
+
+    /// The model that is fitted.
+    pub fn model(&self) -> Model {
+        self.model
+    }
+
+    /// The weight of the harmonics' smoothness, given or chosen; 0 for other models.
+    pub fn penalty(&self) -> f64 {
+        self.penalty
+    }
+
+    /// The absolute part of the expected error, radiance.
+    pub fn floor(&self) -> f64 {
+        self.floor
+    }
+
+    /// Fits one texel. Never fails: what is missing or doubtful is flagged.
+    pub fn fit(&self, texel: &TexelObservations) -> TexelFit {
+        let mut samples = Samples::of(texel, self.options.relative_error, self.floor);
+        let weights = samples.weights.clone();
+        let (mut parameters, mut flags) = self.solve(&samples);
+        if self.options.robust && samples.len() > self.model.unknowns() {
+            for _ in 0..3 {
+                self.reweight(&mut samples, &weights, &parameters);
+                (parameters, flags) = self.solve(&samples);
+            }
+        }
+        if !parameters.iter().all(|value| value.is_finite()) {
+            parameters = self.model.constant(samples.mean().map(|l| l.max(0.0) as f32));
+            flags.set(FitFlags::NOT_CONVERGED);
+        }
+        samples.weights = weights;
+        let (residual, relative_residual) = self.residuals(&samples, &parameters);
+        TexelFit { parameters, residual, relative_residual, views: samples.len() as u32, flags }
+    }
+
+    /// Fits the texels of a tile one after the other.
+    pub fn fit_tile(&self, texels: &[TexelObservations]) -> Vec<TexelFit> {
+        texels.iter().map(|texel| self.fit(texel)).collect()
+    }
+
+    fn solve(&self, samples: &Samples) -> (Vec<f32>, FitFlags) {
+        let mut flags = FitFlags::default();
+        if samples.len() == 0 {
+            flags.set(FitFlags::NO_VIEWS);
+            flags.set(FitFlags::TOO_FEW_VIEWS);
+            return (self.model.constant([0.0; 3]), flags);
+        }
+        let constant = || self.model.constant(samples.mean().map(|l| l.max(0.0) as f32));
+        if samples.len() < self.model.unknowns() {
+            flags.set(FitFlags::TOO_FEW_VIEWS);
+            return (constant(), flags);
+        }
+        let parameters = match self.model {
+            Model::Constant => Some(constant()),
+            Model::Phong { lobes } => {
+                let fit = phong::fit(samples, usize::from(lobes));
+                if fit.at_bound {
+                    flags.set(FitFlags::AT_BOUND);
+                }
+                if !fit.converged {
+                    flags.set(FitFlags::NOT_CONVERGED);
+                }
+                Some(fit.parameters)
+            }
+            Model::LogQuadratic => {
+                log_quadratic::fit(samples).map(|found| found.iter().flatten().map(|v| *v as f32).collect())
+            }
+            Model::Harmonics { order, method } => self.harmonics(usize::from(order), method, samples).map(|found| {
+                (0..found.nrows()).flat_map(|i| [0, 1, 2].map(|c| found[(i, c)] as f32)).collect()
+            }),
+        };
+        let parameters = parameters.unwrap_or_else(|| {
+            flags.set(FitFlags::NOT_CONVERGED);
+            constant()
+        });
+        (parameters, flags)
+    }
+
+    fn harmonics(&self, order: usize, method: HarmonicsMethod, samples: &Samples) -> Option<DMatrix<f64>> {
+        let Samples { directions, radiance, weights } = samples;
+        match method {
+            HarmonicsMethod::Smoothed => {
+                harmonics::smoothed(&harmonics::normal(order, directions, radiance, weights), self.penalty)
+            }
+            HarmonicsMethod::ZeroHemisphere => Some(harmonics::projected(order, directions, radiance)),
+            HarmonicsMethod::Lsop => {
+                self.gram.as_ref().map(|gram| gram.solve(&harmonics::projected(order, directions, radiance)))
+            }
+        }
+    }
+
+    fn choose_penalty(&self, sample: &[TexelObservations]) -> f64 {
+        let Model::Harmonics { order, .. } = self.model else { return 0.0 };
+        let enough = |texel: &&TexelObservations| texel.direction.len() >= self.model.unknowns();
+        let stride = sample.len().div_ceil(64).max(1);
+        let normals: Vec<_> = sample
+            .iter()
+            .filter(enough)
+            .step_by(stride)
+            .map(|texel| Samples::of(texel, self.options.relative_error, self.floor))
+            .filter(|samples| samples.len() >= self.model.unknowns())
+            .map(|s| harmonics::normal(usize::from(order), &s.directions, &s.radiance, &s.weights))
+            .collect();
+        let ladder = (-24..=4).map(|half| 10.0_f64.powf(f64::from(half) / 2.0));
+        let scored = ladder.filter_map(|penalty| {
+            let score: Option<f64> = normals.iter().map(|n| harmonics::cross_validation(n, penalty)).sum();
+            score.map(|score| (score, penalty))
+        });
+        scored.min_by(|a, b| a.0.total_cmp(&b.0)).map_or(1e-6, |(_, penalty)| penalty)
+    }
+
+    fn reweight(&self, samples: &mut Samples, weights: &[f64], parameters: &[f32]) {
+        let misses: Vec<f64> = (0..samples.len())
+            .map(|i| (squared_miss(self.model, parameters, samples, i) * weights[i] / 3.0).sqrt())
+            .collect();
+        let mut sorted = misses.clone();
+        sorted.sort_by(f64::total_cmp);
+        // The median miss of a Gaussian in three channels is 0.89 standard deviations.
+        let scale = (sorted[sorted.len() / 2] / 0.89).max(f64::MIN_POSITIVE);
+        for ((to, weight), miss) in samples.weights.iter_mut().zip(weights).zip(misses) {
+            *to = weight * (2.0 * scale / miss.max(f64::MIN_POSITIVE)).min(1.0);
+        }
+    }
+
+    fn residuals(&self, samples: &Samples, parameters: &[f32]) -> (f32, f32) {
+        let (mut weighted, mut squares, mut energy) = (0.0, 0.0, 0.0);
+        for i in 0..samples.len() {
+            let miss = squared_miss(self.model, parameters, samples, i);
+            weighted += samples.weights[i] * miss;
+            squares += miss;
+            energy += samples.radiance[i].iter().map(|l| l * l).sum::<f64>();
+        }
+        let count = (3 * samples.len()).max(1) as f64;
+        ((weighted / count).sqrt() as f32, (squares / energy.max(f64::MIN_POSITIVE)).sqrt() as f32)
+    }
+}
+
+fn squared_miss(model: Model, parameters: &[f32], samples: &Samples, i: usize) -> f64 {
+    let direction: DVec3 = samples.directions[i];
+    let predicted = model.radiance(parameters, direction.as_vec3());
+    predicted.iter().zip(samples.radiance[i]).map(|(p, l)| (f64::from(*p) - l).powi(2)).sum()
+}
+
+fn median_radiance(sample: &[TexelObservations]) -> f64 {
+    let mut all: Vec<f32> = sample.iter().flat_map(|texel| texel.radiance.iter().flatten().copied()).collect();
+    all.retain(|value| value.is_finite());
+    if all.is_empty() {
+        return 0.0;
+    }
+    let middle = all.len() / 2;
+    f64::from(*all.select_nth_unstable_by(middle, f32::total_cmp).1).max(0.0)
+}

@@ -1,0 +1,67 @@
+//! A quadratic in the direction fitted to the logarithm of radiance: six numbers for each channel.
+//!
+//! From a dozen views in a narrow cone no highlight's centre and no harmonics can be found; the logarithm of radiance
+//! is there still close to a quadratic (it is exactly one for a Gaussian lobe), and never turns negative.
+
+use glam::{DVec3, Vec3};
+use nalgebra::{Matrix6, Matrix6x3, Vector6};
+
+use super::weights::Samples;
+
+/// 1, x, y, x², xy, y² of a unit vector.
+pub(super) fn terms(direction: Vec3) -> [f64; 6] {
+    let (x, y) = (f64::from(direction.x), f64::from(direction.y));
+    [1.0, x, y, x * x, x * y, y * y]
+}
+
+/// What each unit of the quadratic's slope and curvature about the views' centre costs, in mean squared log radiance.
+const RIDGE: f64 = 1e-4;
+
+/// The 6 × 3 coefficients (term by term, R G B each); `None` without a sample of positive radiance.
+pub(super) fn fit(samples: &Samples) -> Option<[[f64; 3]; 6]> {
+    let total: f64 = samples.weights.iter().sum();
+    let mean = samples.mean();
+    // Far below the mean a logarithm is noise.
+    let least = mean.map(|l| 1e-3 * l);
+    if !(least.iter().all(|l| *l > 0.0) && total > 0.0) {
+        return None;
+    }
+    let centre = samples.directions.iter().sum::<DVec3>() / samples.len() as f64;
+    let (mut gram, mut right, mut sum) = (Matrix6::zeros(), Matrix6x3::zeros(), 0.0);
+    for ((direction, radiance), weight) in samples.directions.iter().zip(&samples.radiance).zip(&samples.weights) {
+        let row = Vector6::from(terms((*direction - centre).as_vec3()));
+        let brightness = (radiance[0] + radiance[1] + radiance[2]) / 3.0;
+        // An error of the logarithm is an error of radiance divided by the radiance.
+        let weight = weight * brightness.max(0.0).powi(2);
+        sum += weight;
+        gram.ger(weight, &row, &row, 1.0);
+        for c in 0..3 {
+            let log = radiance[c].max(least[c]).ln();
+            for i in 0..6 {
+                right[(i, c)] += weight * row[i] * log;
+            }
+        }
+    }
+    if sum <= 0.0 {
+        return None;
+    }
+    for i in 1..6 {
+        gram[(i, i)] += RIDGE * sum;
+    }
+    let found = gram.cholesky()?.solve(&right);
+    // About the views' centre -> about the axis, so that the file needs no centre.
+    let (u, v) = (centre.x, centre.y);
+    Some(std::array::from_fn(|i| {
+        std::array::from_fn(|c| {
+            let [k, x, y, xx, xy, yy] = std::array::from_fn(|j| found[(j, c)]);
+            match i {
+                0 => k - x * u - y * v + xx * u * u + xy * u * v + yy * v * v,
+                1 => x - 2.0 * xx * u - xy * v,
+                2 => y - 2.0 * yy * v - xy * u,
+                3 => xx,
+                4 => xy,
+                _ => yy,
+            }
+        })
+    }))
+}

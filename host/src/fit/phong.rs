@@ -1,0 +1,455 @@
+//! Lobes by variable projection (Golub and Pereyra 1973, in Kaufman's form): diffuse and specular radiance are the
+//! non-negative least-squares solution for given shininess and directions, so only those three numbers of each lobe
+//! are searched, by Levenberg-Marquardt.
+//!
+//! A lobe started at Ks = 0 has no gradient, and one started beside the highlight finds a smaller one: lobes are added
+//! one by one, each from the best of several directions and a ladder of shininesses.
+
+use glam::DVec3;
+
+use super::model::SHININESS;
+use super::small::{nonnegative, solve};
+use super::weights::Samples;
+
+/// Basis values below exp(-CUT) are zero: nothing to see, and most views of a sharp lobe are skipped.
+const CUT: f64 = 18.0;
+const MOST_STEPS: usize = 60;
+
+#[derive(Debug, Clone, Copy)]
+struct Lobe {
+    direction: DVec3,
+    shininess: f64,
+}
+
+/// What a fit found.
+pub(super) struct PhongFit {
+    /// In the order of `Model::channel_names`.
+    pub parameters: Vec<f32>,
+    /// A lobe's shininess or direction ended at its bound, or a lobe has no radiance.
+    pub at_bound: bool,
+    /// The search ended because nothing got better, not because it ran out of steps.
+    pub converged: bool,
+}
+
+/// Fits `lobes` (1 to 3) lobes.
+pub(super) fn fit(samples: &Samples, lobes: usize) -> PhongFit {
+    let problem = Problem::new(samples);
+    let first = grow::<1, 5>(&problem, [], 0);
+    match lobes {
+        1 => first.finish(),
+        2 => grow::<2, 9>(&problem, first.lobes, 1).finish(),
+        _ => {
+            let second = grow::<2, 9>(&problem, first.lobes, 1);
+            grow::<3, 13>(&problem, second.lobes, 2).finish()
+        }
+    }
+}
+
+struct Problem<'a> {
+    samples: &'a Samples,
+    weight: f64,
+    right: [f64; 3],
+    energy: f64,
+}
+
+impl<'a> Problem<'a> {
+    fn new(samples: &'a Samples) -> Self {
+        let (mut weight, mut right, mut energy) = (0.0, [0.0; 3], 0.0);
+        for (w, radiance) in samples.weights.iter().zip(&samples.radiance) {
+            weight += w;
+            for c in 0..3 {
+                right[c] += w * radiance[c];
+                energy += w * radiance[c] * radiance[c];
+            }
+        }
+        Self { samples, weight, right, energy }
+    }
+}
+
+/// Weighted inner products of the columns 1, each lobe, and each lobe's derivatives by log shininess and by a turn
+/// about two axes (`C` = 1 + 4 `L` columns), with each other and with the three channels.
+struct Moments<const C: usize> {
+    gram: [[f64; C]; C],
+    right: [[f64; 3]; C],
+}
+
+fn moments<const L: usize, const C: usize>(problem: &Problem, lobes: &[Lobe; L]) -> Moments<C> {
+    let mut sums = Moments { gram: [[0.0; C]; C], right: [[0.0; 3]; C] };
+    let axes = lobes.map(|lobe| lobe.direction.any_orthonormal_pair());
+    let cosine_cut = lobes.map(|lobe| (-CUT / lobe.shininess).exp());
+    let samples = problem.samples;
+    for ((direction, radiance), weight) in samples.directions.iter().zip(&samples.radiance).zip(&samples.weights) {
+        let mut column = [0.0; C];
+        let mut any = false;
+        for l in 0..L {
+            let cosine = direction.dot(lobes[l].direction);
+            if cosine > cosine_cut[l] {
+                any = true;
+                let log = cosine.min(1.0).ln();
+                let value = (lobes[l].shininess * log).exp();
+                let turn = lobes[l].shininess * value / cosine;
+                column[1 + l] = value;
+                column[1 + L + 3 * l] = lobes[l].shininess * log * value;
+                column[2 + L + 3 * l] = turn * direction.dot(axes[l].0);
+                column[3 + L + 3 * l] = turn * direction.dot(axes[l].1);
+            }
+        }
+        if !any {
+            continue;
+        }
+        column[0] = 1.0;
+        for i in 0..C {
+            let weighted = weight * column[i];
+            for j in i..C {
+                sums.gram[i][j] += weighted * column[j];
+            }
+            for c in 0..3 {
+                sums.right[i][c] += weighted * radiance[c];
+            }
+        }
+    }
+    // The constant column also meets the views that no lobe reaches.
+    sums.gram[0][0] = problem.weight;
+    sums.right[0] = problem.right;
+    for i in 0..C {
+        for j in 0..i {
+            sums.gram[i][j] = sums.gram[j][i];
+        }
+    }
+    sums
+}
+
+/// Diffuse and specular radiance of each channel, and the weighted sum of squared residuals that they leave.
+struct Linear {
+    values: [[f64; 4]; 3],
+    active: [u8; 3],
+    squares: f64,
+}
+
+fn linear<const C: usize>(problem: &Problem, moments: &Moments<C>, terms: usize) -> Linear {
+    let mut gram = [[0.0; 4]; 4];
+    for i in 0..terms {
+        gram[i][..terms].copy_from_slice(&moments.gram[i][..terms]);
+    }
+    let mut found = Linear { values: [[0.0; 4]; 3], active: [0; 3], squares: problem.energy };
+    for c in 0..3 {
+        let mut right = [0.0; 4];
+        for i in 0..terms {
+            right[i] = moments.right[i][c];
+        }
+        let (values, active, gain) = nonnegative(&gram, &right, terms);
+        found.values[c] = values;
+        found.active[c] = active;
+        found.squares -= gain;
+    }
+    found
+}
+
+struct State<const L: usize> {
+    lobes: [Lobe; L],
+    linear: Linear,
+    converged: bool,
+}
+
+fn refine<const L: usize, const C: usize>(problem: &Problem, start: [Lobe; L]) -> State<L> {
+    let mut lobes = start;
+    let mut current = moments::<L, C>(problem, &lobes);
+    let mut found = linear(problem, &current, 1 + L);
+    let mut damping = 1e-3;
+    let mut converged = false;
+    for _ in 0..MOST_STEPS {
+        let (hessian, gradient) = search_direction::<L, C>(&current, &found);
+        // Rounding hides any further progress.
+        if found.squares <= 1e-14 * problem.energy {
+            converged = true;
+            break;
+        }
+        let mut damped = hessian;
+        for (i, row) in damped.iter_mut().enumerate().take(3 * L) {
+            row[i] += damping * row[i] + 1e-12 * problem.energy;
+        }
+        let Some(step) = solve(&damped, &gradient, 3 * L) else {
+            damping *= 10.0;
+            continue;
+        };
+        let moved = apply(&lobes, &step);
+        let trial = moments::<L, C>(problem, &moved);
+        let trial_found = linear(problem, &trial, 1 + L);
+        let gain = found.squares - trial_found.squares;
+        if gain > 0.0 {
+            let small = gain < 1e-6 * found.squares;
+            (lobes, current, found) = (moved, trial, trial_found);
+            damping = (damping * 0.1).max(1e-9);
+            if small {
+                converged = true;
+                break;
+            }
+        } else {
+            damping *= 10.0;
+            if damping > 1e6 {
+                converged = true;
+                break;
+            }
+        }
+    }
+    State { lobes, linear: found, converged }
+}
+
+/// Gauss-Newton matrix and negative gradient of the reduced problem, per lobe: log shininess and two turns.
+fn search_direction<const L: usize, const C: usize>(
+    moments: &Moments<C>,
+    linear: &Linear,
+) -> ([[f64; 9]; 9], [f64; 9]) {
+    let (mut hessian, mut gradient) = ([[0.0; 9]; 9], [0.0; 9]);
+    let gram = &moments.gram;
+    for c in 0..3 {
+        let active = linear.active[c];
+        // The part of each derivative that the linear terms cannot absorb.
+        let mut absorbed = [[0.0; 4]; 9];
+        for j in 0..3 * L {
+            let (mut small, mut right, mut count) = ([[0.0; 4]; 4], [0.0; 4], 0);
+            let mut index = [0; 4];
+            for i in (0..=L).filter(|i| active & (1 << i) != 0) {
+                index[count] = i;
+                count += 1;
+            }
+            for a in 0..count {
+                right[a] = gram[index[a]][1 + L + j];
+                for b in 0..count {
+                    small[a][b] = gram[index[a]][index[b]];
+                }
+            }
+            if let Some(solution) = solve(&small, &right, count) {
+                for a in 0..count {
+                    absorbed[j][index[a]] = solution[a];
+                }
+            }
+        }
+        for j in 0..3 * L {
+            let column = 1 + L + j;
+            let scale = linear.values[c][1 + j / 3];
+            let mut residual = moments.right[column][c];
+            for i in 0..=L {
+                residual -= gram[column][i] * linear.values[c][i];
+            }
+            gradient[j] += scale * residual;
+            for k in j..3 * L {
+                let mut product = gram[column][1 + L + k];
+                for i in 0..=L {
+                    product -= absorbed[j][i] * gram[i][1 + L + k];
+                }
+                hessian[j][k] += scale * linear.values[c][1 + k / 3] * product;
+            }
+        }
+    }
+    for j in 0..9 {
+        for k in 0..j {
+            hessian[j][k] = hessian[k][j];
+        }
+    }
+    (hessian, gradient)
+}
+
+fn apply<const L: usize>(lobes: &[Lobe; L], step: &[f64; 9]) -> [Lobe; L] {
+    std::array::from_fn(|l| {
+        let (first, second) = lobes[l].direction.any_orthonormal_pair();
+        let step = &step[3 * l..3 * l + 3];
+        // Far steps leave the region where the derivative means anything.
+        let limit = 0.5 / (step[1].hypot(step[2])).max(0.5);
+        let turned = lobes[l].direction + (first * step[1] + second * step[2]) * limit;
+        // A flat surface reflects light from above to above.
+        let mut direction = turned.with_z(turned.z.max(0.0)).normalize_or(DVec3::Z);
+        if direction.z <= 0.0 {
+            direction.z = 0.0;
+        }
+        let shininess = (lobes[l].shininess * step[0].clamp(-1.0, 1.0).exp()).clamp(*SHININESS.start(), *SHININESS.end());
+        Lobe { direction, shininess }
+    })
+}
+
+/// Adds lobe number `known` to the lobes found before it and refines them together.
+fn grow<const L: usize, const C: usize>(problem: &Problem, before: impl AsRef<[Lobe]>, known: usize) -> State<L> {
+    let mut lobes = [Lobe { direction: DVec3::Z, shininess: 1.0 }; L];
+    lobes[..known].copy_from_slice(before.as_ref());
+    let ladder = Ladder::new(problem, &lobes[..known]);
+    let starts = ladder.starts();
+    let mut best: Option<State<L>> = None;
+    for start in starts.iter().take(if known == 0 { 1 } else { 2 }) {
+        lobes[known] = *start;
+        let state = refine::<L, C>(problem, lobes);
+        if best.as_ref().is_none_or(|best| state.linear.squares < best.linear.squares) {
+            best = Some(state);
+        }
+    }
+    best.unwrap_or_else(|| refine::<L, C>(problem, lobes))
+}
+
+/// The search for a lobe's start among directions and shininesses.
+struct Ladder<'a> {
+    problem: &'a Problem<'a>,
+    known: usize,
+    /// The known lobes' values at each sample.
+    values: Vec<[f64; 2]>,
+    /// What they leave, summed over the channels.
+    residual: Vec<f64>,
+}
+
+/// Neighbours on the ladder differ by a factor 2: squaring climbs it.
+const RUNGS: usize = 10;
+
+impl<'a> Ladder<'a> {
+    fn new(problem: &'a Problem<'a>, lobes: &[Lobe]) -> Self {
+        let samples = problem.samples;
+        let known = lobes.len();
+        let mut values = vec![[0.0; 2]; samples.len()];
+        for (value, direction) in values.iter_mut().zip(&samples.directions) {
+            for (value, lobe) in value.iter_mut().zip(lobes) {
+                *value = direction.dot(lobe.direction).max(0.0).powf(lobe.shininess);
+            }
+        }
+        let mut ladder = Self { problem, known, values, residual: Vec::new() };
+        let (gram, right) = ladder.known_moments();
+        let found: [[f64; 4]; 3] = std::array::from_fn(|c| nonnegative(&gram, &right[c], 1 + known).0);
+        ladder.residual = samples
+            .radiance
+            .iter()
+            .zip(&ladder.values)
+            .map(|(radiance, value)| {
+                (0..3).map(|c| radiance[c] - found[c][0] - found[c][1] * value[0] - found[c][2] * value[1]).sum()
+            })
+            .collect();
+        ladder
+    }
+
+    fn known_moments(&self) -> ([[f64; 4]; 4], [[f64; 4]; 3]) {
+        let (mut gram, mut right) = ([[0.0; 4]; 4], [[0.0; 4]; 3]);
+        gram[0][0] = self.problem.weight;
+        for c in 0..3 {
+            right[c][0] = self.problem.right[c];
+        }
+        if self.known > 0 {
+            let samples = self.problem.samples;
+            for ((value, radiance), weight) in self.values.iter().zip(&samples.radiance).zip(&samples.weights) {
+                for i in 0..self.known {
+                    gram[0][1 + i] += weight * value[i];
+                    for j in 0..self.known {
+                        gram[1 + i][1 + j] += weight * value[i] * value[j];
+                    }
+                    for c in 0..3 {
+                        right[c][1 + i] += weight * value[i] * radiance[c];
+                    }
+                }
+            }
+            for i in 0..self.known {
+                gram[1 + i][0] = gram[0][1 + i];
+            }
+        }
+        (gram, right)
+    }
+
+    /// Directions that may carry the highlight: the brightest residual, its neighbourhood's centre, the centre of all
+    /// that is bright, and the brightest far from the first.
+    fn directions(&self) -> Vec<DVec3> {
+        let samples = self.problem.samples;
+        let brightest = |far_from: Option<DVec3>| {
+            let eligible = samples.directions.iter().zip(&self.residual);
+            eligible
+                .filter(|(d, _)| far_from.is_none_or(|other| d.dot(other) < 0.9))
+                .max_by(|a, b| a.1.total_cmp(b.1))
+                .map(|(d, _)| *d)
+        };
+        let centre = |around: Option<DVec3>| {
+            let sum: DVec3 = samples
+                .directions
+                .iter()
+                .zip(&self.residual)
+                .filter(|(d, r)| **r > 0.0 && around.is_none_or(|other| d.dot(other) > 0.95))
+                .map(|(d, r)| *d * *r)
+                .sum();
+            sum.try_normalize()
+        };
+        let first = brightest(None);
+        [first, first.and_then(|d| centre(Some(d))), centre(None), first.and_then(|d| brightest(Some(d)))]
+            .into_iter()
+            .flatten()
+            .map(|d| d.with_z(d.z.max(0.0)).normalize_or(DVec3::Z))
+            .collect()
+    }
+
+    /// One start for each direction, with the shininess that leaves least; the best first.
+    fn starts(&self) -> Vec<Lobe> {
+        let (gram, right) = self.known_moments();
+        let terms = 2 + self.known;
+        let mut starts: Vec<(f64, Lobe)> = Vec::new();
+        for direction in self.directions() {
+            let mut best: Option<(f64, Lobe)> = None;
+            for (rung, sums) in self.climb(direction).iter().enumerate() {
+                let mut gram = gram;
+                for i in 0..=self.known {
+                    gram[terms - 1][i] = sums[i];
+                    gram[i][terms - 1] = sums[i];
+                }
+                gram[terms - 1][terms - 1] = sums[3];
+                let gain: f64 = (0..3)
+                    .map(|c| {
+                        let mut right = right[c];
+                        right[terms - 1] = sums[4 + c];
+                        nonnegative(&gram, &right, terms).2
+                    })
+                    .sum();
+                if best.is_none_or(|best| gain > best.0) {
+                    best = Some((gain, Lobe { direction, shininess: f64::from(1 << (rung + 1)) }));
+                }
+            }
+            starts.extend(best);
+        }
+        starts.sort_by(|a, b| b.0.total_cmp(&a.0));
+        starts.into_iter().map(|(_, lobe)| lobe).collect()
+    }
+
+    /// For shininess 2, 4, 8 ...: Σ w b, Σ w b b1, Σ w b b2, Σ w b², Σ w b R, G, B.
+    fn climb(&self, direction: DVec3) -> [[f64; 7]; RUNGS] {
+        let samples = self.problem.samples;
+        let mut sums = [[0.0; 7]; RUNGS];
+        for i in 0..samples.len() {
+            let mut value = samples.directions[i].dot(direction).max(0.0);
+            for sums in &mut sums {
+                value *= value;
+                if value < 1e-6 {
+                    break;
+                }
+                let weighted = samples.weights[i] * value;
+                sums[0] += weighted;
+                sums[1] += weighted * self.values[i][0];
+                sums[2] += weighted * self.values[i][1];
+                sums[3] += weighted * value;
+                for c in 0..3 {
+                    sums[4 + c] += weighted * samples.radiance[i][c];
+                }
+            }
+        }
+        sums
+    }
+}
+
+impl<const L: usize> State<L> {
+    fn finish(mut self) -> PhongFit {
+        let mut order: [usize; L] = std::array::from_fn(|l| l);
+        let strength = |l: usize| -> f64 { self.linear.values.iter().map(|v| v[1 + l]).sum() };
+        order.sort_by(|a, b| strength(*b).total_cmp(&strength(*a)));
+        let mut at_bound = false;
+        let mut parameters: Vec<f32> = self.linear.values.iter().map(|v| v[0] as f32).collect();
+        for l in order {
+            if self.linear.values.iter().all(|v| v[1 + l] == 0.0) {
+                // Without radiance, shininess and direction mean nothing: say so in one way.
+                self.lobes[l] = Lobe { direction: DVec3::Z, shininess: *SHININESS.start() };
+            }
+            let Lobe { direction, shininess } = self.lobes[l];
+            at_bound |= shininess <= *SHININESS.start() || shininess >= *SHININESS.end() || direction.z <= 0.0;
+            parameters.extend(self.linear.values.iter().map(|v| v[1 + l] as f32));
+            parameters.push(shininess as f32);
+            parameters.extend(direction.as_vec3().to_array());
+        }
+        PhongFit { parameters, at_bound, converged: self.converged }
+    }
+}

@@ -1,0 +1,94 @@
+//! Letting the data choose: which model predicts views that its fit has not seen?
+
+use rayon::prelude::*;
+
+use super::fitter::{FitOptions, Fitter};
+use super::model::Model;
+use crate::observation::TexelObservations;
+use crate::{Error, Result};
+
+/// How well a model did.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Candidate {
+    /// The model.
+    pub model: Model,
+    /// Median over texels of the mean error |prediction − measured| / (measured + floor) in views left out of the fit.
+    pub held_out_error: f64,
+    /// What it costs.
+    pub bytes_per_texel: usize,
+}
+
+/// The views are dealt into this many parts, each predicted from the others.
+const PARTS: u32 = 5;
+
+/// Ranks `models` on a `sample` of a surface's texels: best first, where one within 5 % of the best error and smaller
+/// counts as better. Models that need more views than there are take no part.
+///
+/// # Errors
+/// [`Error::Request`] when no model can be fitted to the sample.
+pub fn choose_model(sample: &[TexelObservations], models: &[Model], options: &FitOptions) -> Result<Vec<Candidate>> {
+    let mut ranking = Vec::new();
+    for &model in models {
+        if let Some(held_out_error) = held_out_error(sample, model, options) {
+            ranking.push(Candidate { model, held_out_error, bytes_per_texel: model.bytes_per_texel() });
+        }
+    }
+    let best = ranking.iter().map(|c| c.held_out_error).fold(f64::INFINITY, f64::min);
+    if !best.is_finite() {
+        let views = sample.iter().map(|texel| texel.direction.len()).max().unwrap_or(0);
+        return Err(Error::request(
+            format!("no texel of the sample has more than {views} views, too few to compare models"),
+            "photograph more views or name the model",
+        ));
+    }
+    // Good enough first, the smallest of them foremost; then the rest by error.
+    let good = |c: &Candidate| c.held_out_error <= 1.05 * best;
+    ranking.sort_by(|a, b| match (good(a), good(b)) {
+        (true, true) => a.bytes_per_texel.cmp(&b.bytes_per_texel).then(a.held_out_error.total_cmp(&b.held_out_error)),
+        (true, false) => std::cmp::Ordering::Less,
+        (false, true) => std::cmp::Ordering::Greater,
+        (false, false) => a.held_out_error.total_cmp(&b.held_out_error),
+    });
+    Ok(ranking)
+}
+
+fn held_out_error(sample: &[TexelObservations], model: Model, options: &FitOptions) -> Option<f64> {
+    let mut errors = Vec::new();
+    for part in 0..PARTS {
+        let (kept, held): (Vec<_>, Vec<_>) = sample.iter().map(|texel| split(texel, part)).unzip();
+        let fitter = Fitter::new(model, options, &kept).ok()?;
+        errors.par_extend(kept.par_iter().zip(&held).filter_map(|(kept, held)| {
+            if kept.direction.len() < model.unknowns() || held.direction.is_empty() {
+                return None;
+            }
+            let fit = fitter.fit(kept);
+            let mut sum = 0.0;
+            for (direction, measured) in held.direction.iter().zip(&held.radiance) {
+                let predicted = model.radiance(&fit.parameters, *direction);
+                for c in 0..3 {
+                    let scale = f64::from(measured[c].max(0.0)) + fitter.floor();
+                    sum += (f64::from(predicted[c]) - f64::from(measured[c])).abs() / scale.max(f64::MIN_POSITIVE);
+                }
+            }
+            Some(sum / (3 * held.direction.len()) as f64)
+        }));
+    }
+    if errors.is_empty() {
+        return None;
+    }
+    let middle = errors.len() / 2;
+    Some(*errors.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+/// The texel without, and with only, the views of one part.
+fn split(texel: &TexelObservations, part: u32) -> (TexelObservations, TexelObservations) {
+    let (mut kept, mut held) = (TexelObservations::default(), TexelObservations::default());
+    for i in 0..texel.direction.len() {
+        let to = if texel.view[i] % PARTS == part { &mut held } else { &mut kept };
+        to.view.push(texel.view[i]);
+        to.direction.push(texel.direction[i]);
+        to.radiance.push(texel.radiance[i]);
+        to.sigma.push(texel.sigma[i]);
+    }
+    (kept, held)
+}
