@@ -1,8 +1,8 @@
 //! A capture session: the rig goes from view to view, the camera brackets each until no pixel is saturated.
 
 use crate::camera::Camera;
-use crate::picture::Picture;
 use crate::progress::Progress;
+use crate::radiance::Picture;
 use crate::rig::Rig;
 use crate::session::{Event, Manifest, Photograph, Session, View};
 use crate::{Error, Result};
@@ -54,21 +54,30 @@ pub fn bracket(camera: &dyn Camera, longest_s: f64) -> Result<Vec<f64>> {
             "choose a time in this range with --longest-exposure",
         ));
     }
-    Ok(std::iter::successors(Some(longest_s), |time| Some(time / 2.0)).take_while(|&time| time >= shortest * 0.999).collect())
+    Ok(std::iter::successors(Some(longest_s), |time| Some(time / 2.0))
+        .take_while(|&time| time >= shortest * 0.999)
+        .collect())
 }
 
 /// What is still to be done in a session, before anything moves: every view's target is checked against the rig's limits.
 ///
 /// # Errors
 /// [`Error::Request`] naming the first view that the rig cannot reach, or a time that the camera cannot take.
-pub fn plan(manifest: &Manifest, done: &[usize], rig: &dyn Rig, camera: &dyn Camera, longest_s: f64) -> Result<Plan> {
+pub fn plan(
+    manifest: &Manifest,
+    done: &[usize],
+    rig: &dyn Rig,
+    camera: &dyn Camera,
+    longest_s: f64,
+) -> Result<Plan> {
     let times = bracket(camera, longest_s)?;
     let limits = rig.limits();
     let (mut at, mut travel_s, mut views) = ([0.0, 0.0], 0.0, 0);
     for index in (0..manifest.views.len()).filter(|index| !done.contains(index)) {
         let target = target(manifest, index)?;
         if !limits.contains(target.pan_rad, target.tilt_rad) {
-            let degrees = |range: [f64; 2]| format!("{:.1} to {:.1}", range[0].to_degrees(), range[1].to_degrees());
+            let degrees =
+                |range: [f64; 2]| format!("{:.1} to {:.1}", range[0].to_degrees(), range[1].to_degrees());
             return Err(Error::request(
                 format!(
                     "view {} is at pan {:.1} and tilt {:.1} degrees, the rig reaches {} and {}",
@@ -140,11 +149,15 @@ fn photograph_view(
     }
     for (index, &time) in times.iter().enumerate().skip(count) {
         interrupted()?;
-        let stem = session.folder().join("photographs").join(format!("{}_{index}", session.manifest.views[view].name));
+        let stem = session
+            .folder()
+            .join("photographs")
+            .join(format!("{}_{index}", session.manifest.views[view].name));
         let shot = camera.photograph(time, &stem)?;
         // Reading the file back also proves that the camera wrote it whole.
         let picture = Picture::read(&shot.file)?;
-        let file = shot.file.strip_prefix(session.folder()).unwrap_or(&shot.file).to_string_lossy().into_owned();
+        let file =
+            shot.file.strip_prefix(session.folder()).unwrap_or(&shot.file).to_string_lossy().into_owned();
         session.record(Event::Photograph(Photograph { view, file, exposure_s: Some(shot.exposure_s) }))?;
         if !is_saturated(&picture) {
             break;

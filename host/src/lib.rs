@@ -6,18 +6,22 @@
 
 pub mod calibration;
 pub mod camera;
+pub mod capture;
 pub mod chart;
 pub mod error;
+pub mod evaluate;
 pub mod file;
 pub mod fit;
 pub mod geometry;
+pub mod measure;
 pub mod observation;
 pub mod parameter_map;
 pub mod progress;
 pub mod radiance;
+pub mod render;
+pub mod rig;
 pub mod session;
 pub mod units;
-pub mod rig;
-pub mod render;
+pub mod view_file;
 
 pub use error::{Error, Result};

@@ -14,10 +14,14 @@ pub fn parse_length_m(text: &str) -> Result<f64> {
     let (number, metres) = [("mm", 1e-3), ("cm", 1e-2), ("m", 1.0)]
         .into_iter()
         .find_map(|(unit, metres)| text.strip_suffix(unit).map(|number| (number, metres)))
-        .ok_or_else(|| Error::request(format!("the length '{text}' has no unit"), "write it as 200mm, 20cm or 0.2m"))?;
+        .ok_or_else(|| {
+            Error::request(format!("the length '{text}' has no unit"), "write it as 200mm, 20cm or 0.2m")
+        })?;
     match number.trim().parse::<f64>() {
         Ok(value) if value.is_finite() && value > 0.0 => Ok(value * metres),
-        _ => Err(Error::request(format!("the length '{text}' is not a positive number"), "write it as 200mm")),
+        _ => {
+            Err(Error::request(format!("the length '{text}' is not a positive number"), "write it as 200mm"))
+        }
     }
 }
 
@@ -27,7 +31,10 @@ pub fn parse_length_m(text: &str) -> Result<f64> {
 /// [`Error::Request`] when it is not two lengths.
 pub fn parse_surface(text: &str) -> Result<Surface> {
     let Some((width, height)) = text.split_once('x') else {
-        return Err(Error::request(format!("the surface '{text}' is not two lengths"), "write it as 200mmx150mm"));
+        return Err(Error::request(
+            format!("the surface '{text}' is not two lengths"),
+            "write it as 200mmx150mm",
+        ));
     };
     let unit = height.trim_start_matches(|c: char| !c.is_alphabetic());
     let width = if width.ends_with('m') { width.to_owned() } else { format!("{width}{unit}") };
@@ -39,7 +46,8 @@ pub fn parse_surface(text: &str) -> Result<Surface> {
 /// # Errors
 /// [`Error::Request`] when it is not two positive whole numbers, or more than 16384 on a side.
 pub fn parse_texels(text: &str) -> Result<Texels> {
-    let parts = text.split_once('x').and_then(|(c, r)| Some((c.trim().parse().ok()?, r.trim().parse().ok()?)));
+    let parts =
+        text.split_once('x').and_then(|(c, r)| Some((c.trim().parse().ok()?, r.trim().parse().ok()?)));
     match parts {
         Some((columns, rows)) if (1..=16384).contains(&columns) && (1..=16384).contains(&rows) => {
             Ok(Texels { columns, rows })
@@ -96,7 +104,10 @@ mod tests {
     fn a_surface_is_width_by_height() {
         for text in ["200mmx150mm", "200x150mm", "20cmx0.15m"] {
             let surface = parse_surface(text).unwrap();
-            assert!((surface.width_m - 0.2).abs() < 1e-12 && (surface.height_m - 0.15).abs() < 1e-12, "{text}");
+            assert!(
+                (surface.width_m - 0.2).abs() < 1e-12 && (surface.height_m - 0.15).abs() < 1e-12,
+                "{text}"
+            );
         }
         assert!(parse_surface("200mm").is_err());
     }

@@ -78,7 +78,11 @@ impl Calibration {
             views: Vec<Numbered>,
         }
         let file: File = parse(path)?;
-        let views = file.views.into_iter().map(|entry| Ok((entry.view, entry.pose.check(path)?))).collect::<Result<_>>()?;
+        let views = file
+            .views
+            .into_iter()
+            .map(|entry| Ok((entry.view, entry.pose.check(path)?)))
+            .collect::<Result<_>>()?;
         Ok(Self { lens: file.lens.check(path, pixel_centre)?, views })
     }
 
@@ -185,7 +189,10 @@ impl PoseFile {
         if !(sine > 1e-6 && self.centre.is_finite()) {
             return Err(Error::input(
                 path,
-                format!("has a pose with forward {} and up {}, which are parallel or zero", self.forward, self.up),
+                format!(
+                    "has a pose with forward {} and up {}, which are parallel or zero",
+                    self.forward, self.up
+                ),
                 "correct the pose",
             ));
         }
@@ -200,7 +207,11 @@ fn parse<T: DeserializeOwned>(path: &Path) -> Result<T> {
         _ => toml::from_str(&text).map_err(|error: toml::de::Error| error.message().to_owned()),
     };
     parsed.map_err(|what| {
-        Error::input(path, format!("cannot be used ({what})"), "give TOML or JSON with fx, fy, cx, cy, centre, forward and up")
+        Error::input(
+            path,
+            format!("cannot be used ({what})"),
+            "give TOML or JSON with fx, fy, cx, cy, centre, forward and up",
+        )
     })
 }
 
@@ -216,9 +227,13 @@ mod tests {
 
     #[test]
     fn toml_and_json_say_the_same() {
-        let toml = file("f = 500.0\ncx = 320.0\ncy = 240.0\nwidth = 640\nheight = 480\ncentre = [0.0, 0.0, 900.0]\nforward = [0.0, 0.0, -1.0]\nup = [0.0, 1.0, 0.0]\n");
-        let json = file(r#"{"fx": 500, "fy": 500, "cx": 320, "cy": 240, "width": 640, "height": 480,
-            "centre": [0, 0, 900], "forward": [0, 0, -1], "up": [0, 1, 0]}"#);
+        let toml = file(
+            "f = 500.0\ncx = 320.0\ncy = 240.0\nwidth = 640\nheight = 480\ncentre = [0.0, 0.0, 900.0]\nforward = [0.0, 0.0, -1.0]\nup = [0.0, 1.0, 0.0]\n",
+        );
+        let json = file(
+            r#"{"fx": 500, "fy": 500, "cx": 320, "cy": 240, "width": 640, "height": 480,
+            "centre": [0, 0, 900], "forward": [0, 0, -1], "up": [0, 1, 0]}"#,
+        );
         let (lens, pose) = read_camera(toml.path(), 0.5).unwrap();
         assert_eq!((lens, pose), read_camera(json.path(), 0.5).unwrap());
         assert_eq!(lens.cx, 319.5);
@@ -230,7 +245,9 @@ mod tests {
         let without_focal = file("cx = 1.0\ncy = 1.0\n");
         let message = Calibration::read(without_focal.path(), 0.0).unwrap_err().to_string();
         assert!(message.contains("focal length"), "{message}");
-        let parallel = file("f = 1.0\ncx = 1.0\ncy = 1.0\nwidth = 2\nheight = 2\ncentre = [0.0, 0.0, 9.0]\nforward = [0.0, 1.0, 0.0]\nup = [0.0, 2.0, 0.0]\n");
+        let parallel = file(
+            "f = 1.0\ncx = 1.0\ncy = 1.0\nwidth = 2\nheight = 2\ncentre = [0.0, 0.0, 9.0]\nforward = [0.0, 1.0, 0.0]\nup = [0.0, 2.0, 0.0]\n",
+        );
         assert!(read_camera(parallel.path(), 0.0).unwrap_err().to_string().contains("parallel"));
     }
 }

@@ -109,7 +109,10 @@ fn the_patchwork_camera_is_recovered_from_its_photographs() {
             (20..=235).map(|z| f64::from(response.exposure(channel)[z]) / truth[z]).collect();
         let scale = median(ratio.clone());
         let error = median(ratio.iter().map(|r| (r / scale - 1.0).abs()).collect());
-        println!("patchwork: channel {channel}: response within {:.2} % (median over levels 20 to 235)", 100.0 * error);
+        println!(
+            "patchwork: channel {channel}: response within {:.2} % (median over levels 20 to 235)",
+            100.0 * error
+        );
         if std::env::var_os("CURVE").is_some() {
             for z in (5..256).step_by(10) {
                 println!("{z} {:.4}", f64::from(response.exposure(channel)[z]) / truth[z] / scale);

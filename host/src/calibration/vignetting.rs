@@ -36,13 +36,21 @@ impl Vignetting {
     /// (residual above 5 %).
     pub fn fit(flats: &[Picture], response: &Response, noise: &NoiseModel) -> Result<Self> {
         let Some(first) = flats.first() else {
-            return Err(Error::request("no flat fields", "photograph an evenly lit sheet, or go on without vignetting"));
+            return Err(Error::request(
+                "no flat fields",
+                "photograph an evenly lit sheet, or go on without vignetting",
+            ));
         };
         let mut squares = Vec::new();
         for (index, flat) in flats.iter().enumerate() {
             if (flat.width, flat.height, flat.white) != (first.width, first.height, response.white()) {
-                let what = format!("the flat field is {}x{} with levels to {}", flat.width, flat.height, flat.white);
-                return Err(Error::input(&flat.path, what, "take it with the settings of the other photographs"));
+                let what =
+                    format!("the flat field is {}x{} with levels to {}", flat.width, flat.height, flat.white);
+                return Err(Error::input(
+                    &flat.path,
+                    what,
+                    "take it with the settings of the other photographs",
+                ));
             }
             let before = squares.len();
             gather(flat, index, response, noise, &mut squares);
@@ -54,7 +62,10 @@ impl Vignetting {
         }
         let fitted = fit(&squares, flats.len(), first);
         if fitted.residual > 0.05 {
-            let what = format!("the flat fields differ by {:.1} % from a fall-off about a centre", 100.0 * fitted.residual);
+            let what = format!(
+                "the flat fields differ by {:.1} % from a fall-off about a centre",
+                100.0 * fitted.residual
+            );
             return Err(Error::input(&first.path, what, "photograph an even surface without shadows"));
         }
         Ok(fitted)
@@ -111,7 +122,9 @@ fn gather(flat: &Picture, index: usize, response: &Response, noise: &NoiseModel,
                 for i in 0..SQUARE * SQUARE {
                     let pixel = (row * SQUARE + i / SQUARE) * width + column * SQUARE + i % SQUARE;
                     let level = flat.levels[pixel][channel];
-                    sum = sum.filter(|_| valid.contains(&level)).map(|s| s + f64::from(table[usize::from(level)]));
+                    sum = sum
+                        .filter(|_| valid.contains(&level))
+                        .map(|s| s + f64::from(table[usize::from(level)]));
                 }
                 if let Some(sum) = sum {
                     let middle = (SQUARE - 1) as f64 / 2.0;
@@ -143,7 +156,8 @@ fn fit(squares: &[Square], flats: usize, picture: &Picture) -> Vignetting {
     let mut gains = vec![0.0; 3 * flats];
     // The first step finds the coefficients; only then does the centre mean anything.
     for _ in 0..12 {
-        let (mut matrix, mut right) = (DMatrix::<f64>::zeros(unknowns, unknowns), DVector::<f64>::zeros(unknowns));
+        let (mut matrix, mut right) =
+            (DMatrix::<f64>::zeros(unknowns, unknowns), DVector::<f64>::zeros(unknowns));
         let mut squared = 0.0;
         for s in squares {
             let (dx, dy) = (s.x - v.centre_x, s.y - v.centre_y);

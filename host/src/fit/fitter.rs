@@ -88,7 +88,11 @@ impl Fitter {
         let views = sample.iter().map(|texel| texel.direction.len()).max().unwrap_or(0);
         if views < model.unknowns() {
             return Err(Error::request(
-                format!("{} needs {} views and no texel has more than {views}", model.name(), model.unknowns()),
+                format!(
+                    "{} needs {} views and no texel has more than {views}",
+                    model.name(),
+                    model.unknowns()
+                ),
                 "photograph more views or fit a smaller model (constant needs 1, phong 5, log-quadratic 6)",
             ));
         }
@@ -173,9 +177,11 @@ impl Fitter {
             Model::LogQuadratic => {
                 log_quadratic::fit(samples).map(|found| found.iter().flatten().map(|v| *v as f32).collect())
             }
-            Model::Harmonics { order, method } => self.harmonics(usize::from(order), method, samples).map(|found| {
-                (0..found.nrows()).flat_map(|i| [0, 1, 2].map(|c| found[(i, c)] as f32)).collect()
-            }),
+            Model::Harmonics { order, method } => {
+                self.harmonics(usize::from(order), method, samples).map(|found| {
+                    (0..found.nrows()).flat_map(|i| [0, 1, 2].map(|c| found[(i, c)] as f32)).collect()
+                })
+            }
         };
         let parameters = parameters.unwrap_or_else(|| {
             flags.set(FitFlags::NOT_CONVERGED);
@@ -250,7 +256,8 @@ fn squared_miss(model: Model, parameters: &[f32], samples: &Samples, i: usize) -
 }
 
 fn median_radiance(sample: &[TexelObservations]) -> f64 {
-    let mut all: Vec<f32> = sample.iter().flat_map(|texel| texel.radiance.iter().flatten().copied()).collect();
+    let mut all: Vec<f32> =
+        sample.iter().flat_map(|texel| texel.radiance.iter().flatten().copied()).collect();
     all.retain(|value| value.is_finite());
     if all.is_empty() {
         return 0.0;

@@ -28,7 +28,9 @@ pub(super) fn fit(samples: &Samples) -> Option<[[f64; 3]; 6]> {
     }
     let centre = samples.directions.iter().sum::<DVec3>() / samples.len() as f64;
     let (mut gram, mut right, mut sum) = (Matrix6::zeros(), Matrix6x3::zeros(), 0.0);
-    for ((direction, radiance), weight) in samples.directions.iter().zip(&samples.radiance).zip(&samples.weights) {
+    for ((direction, radiance), weight) in
+        samples.directions.iter().zip(&samples.radiance).zip(&samples.weights)
+    {
         let row = Vector6::from(terms((*direction - centre).as_vec3()));
         let brightness = (radiance[0] + radiance[1] + radiance[2]) / 3.0;
         // An error of the logarithm is an error of radiance divided by the radiance.

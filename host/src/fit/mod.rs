@@ -11,6 +11,7 @@ mod model;
 mod phong;
 mod select;
 mod small;
+mod surface;
 mod voronoi;
 mod weights;
 
@@ -18,3 +19,4 @@ pub use fitter::{FitFlags, FitOptions, Fitter, TexelFit};
 pub use harmonics::HarmonicsMethod;
 pub use model::{Model, Toward};
 pub use select::{Candidate, choose_model};
+pub use surface::{fit_surface, sample};

@@ -78,7 +78,9 @@ fn moments<const L: usize, const C: usize>(problem: &Problem, lobes: &[Lobe; L])
     let axes = lobes.map(|lobe| lobe.direction.any_orthonormal_pair());
     let cosine_cut = lobes.map(|lobe| (-CUT / lobe.shininess).exp());
     let samples = problem.samples;
-    for ((direction, radiance), weight) in samples.directions.iter().zip(&samples.radiance).zip(&samples.weights) {
+    for ((direction, radiance), weight) in
+        samples.directions.iter().zip(&samples.radiance).zip(&samples.weights)
+    {
         let mut column = [0.0; C];
         let mut any = false;
         for l in 0..L {
@@ -262,13 +264,18 @@ fn apply<const L: usize>(lobes: &[Lobe; L], step: &[f64; 9]) -> [Lobe; L] {
         if direction.z <= 0.0 {
             direction.z = 0.0;
         }
-        let shininess = (lobes[l].shininess * step[0].clamp(-1.0, 1.0).exp()).clamp(*SHININESS.start(), *SHININESS.end());
+        let shininess =
+            (lobes[l].shininess * step[0].clamp(-1.0, 1.0).exp()).clamp(*SHININESS.start(), *SHININESS.end());
         Lobe { direction, shininess }
     })
 }
 
 /// Adds lobe number `known` to the lobes found before it and refines them together.
-fn grow<const L: usize, const C: usize>(problem: &Problem, before: impl AsRef<[Lobe]>, known: usize) -> State<L> {
+fn grow<const L: usize, const C: usize>(
+    problem: &Problem,
+    before: impl AsRef<[Lobe]>,
+    known: usize,
+) -> State<L> {
     let mut lobes = [Lobe { direction: DVec3::Z, shininess: 1.0 }; L];
     lobes[..known].copy_from_slice(before.as_ref());
     let ladder = Ladder::new(problem, &lobes[..known]);
@@ -315,7 +322,9 @@ impl<'a> Ladder<'a> {
             .iter()
             .zip(&ladder.values)
             .map(|(radiance, value)| {
-                (0..3).map(|c| radiance[c] - found[c][0] - found[c][1] * value[0] - found[c][2] * value[1]).sum()
+                (0..3)
+                    .map(|c| radiance[c] - found[c][0] - found[c][1] * value[0] - found[c][2] * value[1])
+                    .sum()
             })
             .collect();
         ladder
@@ -329,7 +338,8 @@ impl<'a> Ladder<'a> {
         }
         if self.known > 0 {
             let samples = self.problem.samples;
-            for ((value, radiance), weight) in self.values.iter().zip(&samples.radiance).zip(&samples.weights) {
+            for ((value, radiance), weight) in self.values.iter().zip(&samples.radiance).zip(&samples.weights)
+            {
                 for i in 0..self.known {
                     gram[0][1 + i] += weight * value[i];
                     for j in 0..self.known {
@@ -445,7 +455,8 @@ impl<const L: usize> State<L> {
                 self.lobes[l] = Lobe { direction: DVec3::Z, shininess: *SHININESS.start() };
             }
             let Lobe { direction, shininess } = self.lobes[l];
-            at_bound |= shininess <= *SHININESS.start() || shininess >= *SHININESS.end() || direction.z <= 0.0;
+            at_bound |=
+                shininess <= *SHININESS.start() || shininess >= *SHININESS.end() || direction.z <= 0.0;
             parameters.extend(self.linear.values.iter().map(|v| v[1 + l] as f32));
             parameters.push(shininess as f32);
             parameters.extend(direction.as_vec3().to_array());

@@ -7,9 +7,9 @@ use std::path::Path;
 use half::f16;
 use rayon::prelude::*;
 
+use super::gain;
 use super::map::{Header, ObservationMap, ObservedView, VALUES};
 use super::sample::{Sample, ViewSampler};
-use super::gain;
 use crate::geometry::Texels;
 use crate::progress::Progress;
 use crate::radiance::RadianceImage;
@@ -31,7 +31,12 @@ const COARSE: u32 = 48;
 /// # Errors
 /// [`Error::Input`] when the session lacks radiance, poses, a lens or the surface's size; [`Error::Request`] when no texel was
 /// measured by any view; [`Error::Io`] when the disk is full.
-pub fn observe(session: &Session, path: &Path, options: &Options, progress: &dyn Progress) -> Result<ObservationMap> {
+pub fn observe(
+    session: &Session,
+    path: &Path,
+    options: &Options,
+    progress: &dyn Progress,
+) -> Result<ObservationMap> {
     let surface = session.manifest.surface()?;
     let views = session.done_views();
     let total = 2 * views.len();
@@ -42,7 +47,11 @@ pub fn observe(session: &Session, path: &Path, options: &Options, progress: &dyn
         let texels = Texels { columns: COARSE, rows: COARSE };
         coarse.push(sample_view(session, view, texels)?);
         let pose = session.pose(view)?;
-        observed.push(ObservedView { name: session.manifest.views[view].name.clone(), centre_m: pose.centre_m, gain: 1.0 });
+        observed.push(ObservedView {
+            name: session.manifest.views[view].name.clone(),
+            centre_m: pose.centre_m,
+            gain: 1.0,
+        });
     }
     let unit = median_radiance(&coarse).ok_or_else(|| {
         Error::request(
@@ -50,7 +59,10 @@ pub fn observe(session: &Session, path: &Path, options: &Options, progress: &dyn
             "check the poses, the lens and the size of the surface (--surface)",
         )
     })?;
-    if views.iter().any(|&view| session.photographs(view).iter().any(|photograph| photograph.exposure_s.is_none())) {
+    if views
+        .iter()
+        .any(|&view| session.photographs(view).iter().any(|photograph| photograph.exposure_s.is_none()))
+    {
         let names: Vec<String> = observed.iter().map(|view| view.name.clone()).collect();
         for (view, gain) in observed.iter_mut().zip(gain::estimate(&logarithms(&coarse), &names)?) {
             view.gain = gain;
@@ -82,14 +94,16 @@ fn sample_view(session: &Session, view: usize, texels: Texels) -> Result<Vec<Opt
     if (lens.width, lens.height) != (image.width, image.height) {
         return Err(Error::input(
             &path,
-            format!("is {}x{} pixels but its lens is for {}x{}", image.width, image.height, lens.width, lens.height),
+            format!(
+                "is {}x{} pixels but its lens is for {}x{}",
+                image.width, image.height, lens.width, lens.height
+            ),
             "run `rigel radiance` again, or correct the lens in session.toml",
         ));
     }
-    let sampler = ViewSampler { image: &image, lens, pose: &pose, surface: session.manifest.surface()?, texels };
-    let sample = |index: usize| {
-        sampler.sample(index as u32 % texels.columns, index as u32 / texels.columns)
-    };
+    let sampler =
+        ViewSampler { image: &image, lens, pose: &pose, surface: session.manifest.surface()?, texels };
+    let sample = |index: usize| sampler.sample(index as u32 % texels.columns, index as u32 / texels.columns);
     Ok((0..texels.count()).into_par_iter().map(sample).collect())
 }
 
@@ -108,9 +122,12 @@ fn write_view(
     for tile in 0..header.tiles().count() {
         block.clear();
         for slot in header.slots(tile) {
-            let sample = slot.and_then(|(column, row)| samples[(row * header.texels.columns + column) as usize]);
+            let sample =
+                slot.and_then(|(column, row)| samples[(row * header.texels.columns + column) as usize]);
             let values: [f32; VALUES] = match sample {
-                Some(Sample { radiance: [r, g, b], sigma }) => [r * scale, g * scale, b * scale, sigma * scale, 0.0],
+                Some(Sample { radiance: [r, g, b], sigma }) => {
+                    [r * scale, g * scale, b * scale, sigma * scale, 0.0]
+                }
                 None => [0.0, 0.0, 0.0, 0.0, 1.0],
             };
             // Beyond a half float's range there is nothing to store: absent, as a saturated pixel is.
@@ -125,8 +142,13 @@ fn write_view(
 }
 
 fn median_radiance(coarse: &[Vec<Option<Sample>>]) -> Option<f64> {
-    let mut values: Vec<f32> =
-        coarse.iter().flatten().flatten().map(|sample| sample.radiance[1]).filter(|&value| value > 0.0).collect();
+    let mut values: Vec<f32> = coarse
+        .iter()
+        .flatten()
+        .flatten()
+        .map(|sample| sample.radiance[1])
+        .filter(|&value| value > 0.0)
+        .collect();
     if values.is_empty() {
         return None;
     }
@@ -137,7 +159,9 @@ fn median_radiance(coarse: &[Vec<Option<Sample>>]) -> Option<f64> {
 /// Per texel and view, the logarithm of the mean over the channels; NaN where absent or not positive.
 fn logarithms(coarse: &[Vec<Option<Sample>>]) -> Vec<Vec<f32>> {
     let log = |sample: &Option<Sample>| match sample {
-        Some(sample) if sample.radiance.iter().sum::<f32>() > 0.0 => (sample.radiance.iter().sum::<f32>() / 3.0).ln(),
+        Some(sample) if sample.radiance.iter().sum::<f32>() > 0.0 => {
+            (sample.radiance.iter().sum::<f32>() / 3.0).ln()
+        }
         _ => f32::NAN,
     };
     (0..coarse[0].len()).map(|texel| coarse.iter().map(|view| log(&view[texel])).collect()).collect()

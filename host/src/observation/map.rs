@@ -11,8 +11,8 @@ use std::path::{Path, PathBuf};
 
 use glam::{DVec3, Vec3};
 use half::f16;
-use memmap2::MmapOptions;
 use half::slice::HalfFloatSliceExt;
+use memmap2::MmapOptions;
 use serde::{Deserialize, Serialize};
 
 use super::TexelObservations;
@@ -75,9 +75,9 @@ impl Header {
         let (tiles, size, texels) = (self.tiles(), self.tile, self.texels);
         let left = (tile as u32 % tiles.columns) * size.columns;
         let top = (tile as u32 / tiles.columns) * size.rows;
-        (0..size.rows).flat_map(move |y| (0..size.columns).map(move |x| (left + x, top + y))).map(move |(column, row)| {
-            (column < texels.columns && row < texels.rows).then_some((column, row))
-        })
+        (0..size.rows)
+            .flat_map(move |y| (0..size.columns).map(move |x| (left + x, top + y)))
+            .map(move |(column, row)| (column < texels.columns && row < texels.rows).then_some((column, row)))
     }
 
     /// Bytes of one view in one tile.
@@ -141,16 +141,22 @@ impl ObservationMap {
         }
         let mut json = vec![0; json_bytes as usize];
         file.read_exact(&mut json).map_err(Error::io("read", path))?;
-        let header: Header =
-            serde_json::from_slice(&json).map_err(|error| strange(format!("has a damaged header ({error})")))?;
+        let header: Header = serde_json::from_slice(&json)
+            .map_err(|error| strange(format!("has a damaged header ({error})")))?;
         if header.format != FORMAT {
-            return Err(strange(format!("has format {}, this is a reader of format {FORMAT}", header.format)));
+            return Err(strange(format!(
+                "has format {}, this is a reader of format {FORMAT}",
+                header.format
+            )));
         }
         if header.texels.count() == 0 || header.tile.count() == 0 || !(header.unit > 0.0) {
             return Err(strange("has a damaged header (no texels, tile or unit)".into()));
         }
         if header.file_bytes() != length {
-            return Err(strange(format!("has {length} bytes instead of {}: it was cut short", header.file_bytes())));
+            return Err(strange(format!(
+                "has {length} bytes instead of {}: it was cut short",
+                header.file_bytes()
+            )));
         }
         Ok(Self { path: path.into(), file, start: header.bytes().len() as u64, header })
     }
@@ -188,11 +194,15 @@ impl ObservationMap {
         let unit = header.unit as f32;
         let mut values = vec![0f32; header.tile.count() * VALUES];
         let halves = |view: usize| -> Vec<f16> {
-            bytes[view * block..(view + 1) * block].chunks_exact(2).map(|b| f16::from_le_bytes([b[0], b[1]])).collect()
+            bytes[view * block..(view + 1) * block]
+                .chunks_exact(2)
+                .map(|b| f16::from_le_bytes([b[0], b[1]]))
+                .collect()
         };
         for view in 0..header.views.len() {
             halves(view).convert_to_f32_slice(&mut values);
-            let measured = header.slots(tile).zip(values.chunks_exact(VALUES)).filter(|(slot, _)| slot.is_some());
+            let measured =
+                header.slots(tile).zip(values.chunks_exact(VALUES)).filter(|(slot, _)| slot.is_some());
             for (((column, row), texel), (_, value)) in texels.iter_mut().zip(measured) {
                 if value[4] != 0.0 {
                     continue;

@@ -109,7 +109,12 @@ mod tests {
         }
     }
 
-    fn sampler<'a>(image: &'a RadianceImage, lens: &'a Lens, pose: &'a Pose, columns: u32) -> ViewSampler<'a> {
+    fn sampler<'a>(
+        image: &'a RadianceImage,
+        lens: &'a Lens,
+        pose: &'a Pose,
+        columns: u32,
+    ) -> ViewSampler<'a> {
         let texels = Texels { columns, rows: columns * 3 / 4 };
         ViewSampler { image, lens, pose, surface: SURFACE, texels }
     }
@@ -125,8 +130,14 @@ mod tests {
                 let sample = sampler.sample(column, row).unwrap();
                 // A coarse texel averages over a distorted patch: its mean is not its centre exactly.
                 let slack = if columns == 4 { 0.1 } else { 1e-3 };
-                assert!((sample.radiance[0] - expected.x as f32).abs() < slack, "{columns} {sample:?} {expected}");
-                assert!((sample.radiance[1] - expected.y as f32).abs() < slack, "{columns} {sample:?} {expected}");
+                assert!(
+                    (sample.radiance[0] - expected.x as f32).abs() < slack,
+                    "{columns} {sample:?} {expected}"
+                );
+                assert!(
+                    (sample.radiance[1] - expected.y as f32).abs() < slack,
+                    "{columns} {sample:?} {expected}"
+                );
             }
         }
     }
@@ -136,7 +147,12 @@ mod tests {
         let (image, lens, pose) = (ramp(), Lens::pinhole(64, 48, 200.0), Pose::from_rig(0.0, 0.0, 0.9));
         let fine = sampler(&image, &lens, &pose, 256).sample(128, 96).unwrap();
         let coarse = sampler(&image, &lens, &pose, 4).sample(2, 1).unwrap();
-        assert!(fine.sigma <= 0.2 + 1e-6 && coarse.sigma < fine.sigma / 3.0, "{} {}", fine.sigma, coarse.sigma);
+        assert!(
+            fine.sigma <= 0.2 + 1e-6 && coarse.sigma < fine.sigma / 3.0,
+            "{} {}",
+            fine.sigma,
+            coarse.sigma
+        );
     }
 
     #[test]

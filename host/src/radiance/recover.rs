@@ -63,7 +63,11 @@ struct Row {
 }
 
 fn recover(
-    blocks: &[&Block], white: u16, channel: usize, response: &Response, noise: &NoiseModel,
+    blocks: &[&Block],
+    white: u16,
+    channel: usize,
+    response: &Response,
+    noise: &NoiseModel,
 ) -> Result<Vec<f32>> {
     let relative_variance: Vec<f64> = (0..=usize::from(white))
         .map(|level| noise.relative_variance(response, channel, level).min(1e6))
@@ -75,7 +79,9 @@ fn recover(
         .collect();
     if groups.is_empty() {
         return Err(Error::request(
-            format!("the response cannot be recovered: no part of the photographs is well exposed twice in channel {channel}"),
+            format!(
+                "the response cannot be recovered: no part of the photographs is well exposed twice in channel {channel}"
+            ),
             "take exposures at most two stops apart, or choose the response `srgb` or `linear`",
         ));
     }

@@ -56,7 +56,14 @@ pub struct View {
 impl Manifest {
     /// A manifest without views.
     pub fn new(source: impl Into<String>) -> Self {
-        Self { format: FORMAT, source: source.into(), distance_m: None, surface: None, lenses: vec![], views: vec![] }
+        Self {
+            format: FORMAT,
+            source: source.into(),
+            distance_m: None,
+            surface: None,
+            lenses: vec![],
+            views: vec![],
+        }
     }
 
     /// Writes the manifest as TOML.
@@ -84,7 +91,9 @@ impl Manifest {
                 "use the version of rigel that wrote it",
             ));
         }
-        if let Some(view) = manifest.views.iter().find(|view| view.lens > 0 && view.lens >= manifest.lenses.len()) {
+        if let Some(view) =
+            manifest.views.iter().find(|view| view.lens > 0 && view.lens >= manifest.lenses.len())
+        {
             return Err(Error::input(
                 path,
                 format!("view {} has lens {}, but there are {}", view.name, view.lens, manifest.lenses.len()),
@@ -110,7 +119,10 @@ impl Manifest {
     /// [`Error::Request`] when the session does not know it.
     pub fn surface(&self) -> Result<Surface> {
         self.surface.ok_or_else(|| {
-            Error::request("the session does not know the size of the sampled area", "import with --surface 200mmx150mm")
+            Error::request(
+                "the session does not know the size of the sampled area",
+                "import with --surface 200mmx150mm",
+            )
         })
     }
 }
@@ -119,11 +131,16 @@ mod optional_length {
     use super::*;
     use serde::{Deserializer, Serializer};
 
-    pub fn serialize<S: Serializer>(metres: &Option<f64>, serializer: S) -> std::result::Result<S::Ok, S::Error> {
+    pub fn serialize<S: Serializer>(
+        metres: &Option<f64>,
+        serializer: S,
+    ) -> std::result::Result<S::Ok, S::Error> {
         length::serialize(&metres.unwrap_or_default(), serializer)
     }
 
-    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> std::result::Result<Option<f64>, D::Error> {
+    pub fn deserialize<'de, D: Deserializer<'de>>(
+        deserializer: D,
+    ) -> std::result::Result<Option<f64>, D::Error> {
         length::deserialize(deserializer).map(Some)
     }
 }
@@ -133,12 +150,21 @@ mod surface {
     use crate::units::{format_length, parse_surface};
     use serde::{Deserializer, Serializer};
 
-    pub fn serialize<S: Serializer>(surface: &Option<Surface>, serializer: S) -> std::result::Result<S::Ok, S::Error> {
+    pub fn serialize<S: Serializer>(
+        surface: &Option<Surface>,
+        serializer: S,
+    ) -> std::result::Result<S::Ok, S::Error> {
         let Some(surface) = surface else { return serializer.serialize_none() };
-        serializer.serialize_str(&format!("{}x{}", format_length(surface.width_m), format_length(surface.height_m)))
+        serializer.serialize_str(&format!(
+            "{}x{}",
+            format_length(surface.width_m),
+            format_length(surface.height_m)
+        ))
     }
 
-    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> std::result::Result<Option<Surface>, D::Error> {
+    pub fn deserialize<'de, D: Deserializer<'de>>(
+        deserializer: D,
+    ) -> std::result::Result<Option<Surface>, D::Error> {
         let text = String::deserialize(deserializer)?;
         parse_surface(&text).map(Some).map_err(serde::de::Error::custom)
     }

@@ -56,7 +56,10 @@ impl Session {
             if photograph.view >= session.manifest.views.len() {
                 return Err(Error::input(
                     folder.join("journal.jsonl"),
-                    format!("{} belongs to view {}, which the manifest does not have", photograph.file, photograph.view),
+                    format!(
+                        "{} belongs to view {}, which the manifest does not have",
+                        photograph.file, photograph.view
+                    ),
                     "restore session.toml from a copy",
                 ));
             }
@@ -82,6 +85,23 @@ impl Session {
     /// The photographs of one view, in the order in which they were taken.
     pub fn photographs(&self, view: usize) -> Vec<&Photograph> {
         self.journal.photographs().filter(|photograph| photograph.view == view).collect()
+    }
+
+    /// The flat-field photographs of the session, by name; empty where it has none.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when their folder cannot be read.
+    pub fn flats(&self) -> Result<Vec<PathBuf>> {
+        let folder = self.folder.join("flats");
+        if !folder.is_dir() {
+            return Ok(vec![]);
+        }
+        let entries = fs::read_dir(&folder).map_err(Error::io("read", &folder))?;
+        let mut paths: Vec<PathBuf> = entries
+            .map(|entry| Ok(entry.map_err(Error::io("read", &folder))?.path()))
+            .collect::<Result<_>>()?;
+        paths.sort();
+        Ok(paths)
     }
 
     /// The absolute path of a photograph.
@@ -154,7 +174,13 @@ mod tests {
     use super::*;
 
     fn manifest() -> Manifest {
-        let view = |name: &str| View { name: name.into(), pan_deg: Some(10.0), tilt_deg: Some(20.0), lens: 0, pose: None };
+        let view = |name: &str| View {
+            name: name.into(),
+            pan_deg: Some(10.0),
+            tilt_deg: Some(20.0),
+            lens: 0,
+            pose: None,
+        };
         Manifest { views: vec![view("view000"), view("view001")], ..Manifest::new("test") }
     }
 

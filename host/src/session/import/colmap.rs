@@ -25,16 +25,24 @@ pub(super) fn read(
     for image in &images {
         for &(pixel, point) in &image.points {
             if let Some(direction) = image.lens.unproject(pixel) {
-                let ray = plane::Ray { origin: image.pose.centre_m, direction: image.pose.direction_to_surface(direction) };
+                let ray = plane::Ray {
+                    origin: image.pose.centre_m,
+                    direction: image.pose.direction_to_surface(direction),
+                };
                 tracks.entry(point).or_default().push(ray);
             }
         }
     }
     let centres: Vec<DVec3> = images.iter().map(|image| image.pose.centre_m).collect();
     let rights: Vec<DVec3> = images.iter().map(|image| image.pose.direction_to_surface(DVec3::X)).collect();
-    let frame = plane::find(&tracks.into_values().collect::<Vec<_>>(), &centres, &rights).ok_or_else(|| {
-        Error::input(&images_path, "has too few points on one plane to find the surface", "import a model of a flat surface")
-    })?;
+    let frame =
+        plane::find(&tracks.into_values().collect::<Vec<_>>(), &centres, &rights).ok_or_else(|| {
+            Error::input(
+                &images_path,
+                "has too few points on one plane to find the surface",
+                "import a model of a flat surface",
+            )
+        })?;
     notes.push(format!(
         "the surface is the plane of {} of the model's {} points; one unit of the model counts as 1 m",
         frame.on_plane, frame.points
@@ -75,9 +83,15 @@ fn read_cameras(path: &Path) -> Result<BTreeMap<u32, Lens>> {
     for (index, line) in data_lines(&text).filter(|(_, line)| !line.trim().is_empty()) {
         let words: Vec<&str> = line.split_whitespace().collect();
         let wrong = |what: &str| {
-            Error::input(path, format!("line {index}: {what}"), "export the model again with COLMAP (as text)")
+            Error::input(
+                path,
+                format!("line {index}: {what}"),
+                "export the model again with COLMAP (as text)",
+            )
         };
-        let [id, model, width, height, parameters @ ..] = &words[..] else { return Err(wrong("is cut short")) };
+        let [id, model, width, height, parameters @ ..] = &words[..] else {
+            return Err(wrong("is cut short"));
+        };
         let numbers: Vec<f64> = parameters.iter().filter_map(|word| word.parse().ok()).collect();
         let (Ok(id), Ok(width), Ok(height)) = (id.parse(), width.parse(), height.parse()) else {
             return Err(wrong("a number cannot be read"));
@@ -92,7 +106,10 @@ fn read_cameras(path: &Path) -> Result<BTreeMap<u32, Lens>> {
             _ => {
                 return Err(Error::input(
                     path,
-                    format!("line {index}: the camera model {model} with {} parameters is not supported", numbers.len()),
+                    format!(
+                        "line {index}: the camera model {model} with {} parameters is not supported",
+                        numbers.len()
+                    ),
                     "reconstruct with SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL or OPENCV",
                 ));
             }
@@ -115,7 +132,11 @@ fn read_images(path: &Path, cameras: &BTreeMap<u32, Lens>) -> Result<Vec<Image>>
             continue;
         }
         let wrong = |what: String| {
-            Error::input(path, format!("line {index}: {what}"), "export the model again with COLMAP (as text)")
+            Error::input(
+                path,
+                format!("line {index}: {what}"),
+                "export the model again with COLMAP (as text)",
+            )
         };
         let words: Vec<&str> = line.split_whitespace().collect();
         let numbers: Vec<f64> = words.iter().skip(1).take(7).filter_map(|word| word.parse().ok()).collect();
@@ -124,21 +145,31 @@ fn read_images(path: &Path, cameras: &BTreeMap<u32, Lens>) -> Result<Vec<Image>>
         else {
             return Err(wrong("is not an image with its quaternion, translation, camera and name".into()));
         };
-        let lens = *cameras.get(&camera).ok_or_else(|| wrong(format!("camera {camera} is not in cameras.txt")))?;
+        let lens =
+            *cameras.get(&camera).ok_or_else(|| wrong(format!("camera {camera} is not in cameras.txt")))?;
         let rotation = DQuat::from_xyzw(x, y, z, w);
         if !(rotation.length() > 1e-6) {
             return Err(wrong("its quaternion has no length".into()));
         }
         let camera_from_surface = rotation.normalize();
         let centre_m = -(camera_from_surface.inverse() * DVec3::new(tx, ty, tz));
-        let points: Vec<f64> =
-            lines.next().map_or("", |(_, line)| line).split_whitespace().filter_map(|word| word.parse().ok()).collect();
+        let points: Vec<f64> = lines
+            .next()
+            .map_or("", |(_, line)| line)
+            .split_whitespace()
+            .filter_map(|word| word.parse().ok())
+            .collect();
         let points = points
             .chunks_exact(3)
             .filter(|point| point[2] >= 0.0)
             .map(|point| (DVec2::new(point[0] - 0.5, point[1] - 0.5), point[2] as i64))
             .collect();
-        images.push(Image { name: words[9..].join(" "), lens, pose: Pose { camera_from_surface, centre_m }, points });
+        images.push(Image {
+            name: words[9..].join(" "),
+            lens,
+            pose: Pose { camera_from_surface, centre_m },
+            points,
+        });
     }
     if images.is_empty() {
         return Err(Error::input(path, "has no image", "export the model again with COLMAP (as text)"));

@@ -11,7 +11,11 @@ use crate::{Error, Result};
 const EXTENSIONS: [&str; 6] = ["jpg", "jpeg", "png", "tif", "tiff", "exr"];
 
 /// Lists the photographs in the order of their names and groups them into views.
-pub(super) fn read(folder: &Path, options: &Options, notes: &mut Vec<String>) -> Result<(Manifest, Vec<Found>)> {
+pub(super) fn read(
+    folder: &Path,
+    options: &Options,
+    notes: &mut Vec<String>,
+) -> Result<(Manifest, Vec<Found>)> {
     let entries = std::fs::read_dir(folder).map_err(Error::io("read", folder))?;
     let mut paths = vec![];
     let mut others = 0;
@@ -25,7 +29,11 @@ pub(super) fn read(folder: &Path, options: &Options, notes: &mut Vec<String>) ->
     }
     paths.sort();
     if paths.is_empty() {
-        return Err(Error::input(folder, "holds no photograph", format!("give a folder of {} files", EXTENSIONS.join(", "))));
+        return Err(Error::input(
+            folder,
+            "holds no photograph",
+            format!("give a folder of {} files", EXTENSIONS.join(", ")),
+        ));
     }
     if others > 0 {
         notes.push(format!("{others} files in {} are no photographs: passed over", folder.display()));
@@ -38,7 +46,11 @@ pub(super) fn read(folder: &Path, options: &Options, notes: &mut Vec<String>) ->
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let exposure_s = match &times {
             Some(times) => Some(*times.get(&name).ok_or_else(|| {
-                Error::input(&path, "is not in the list of exposure times", "add a line for it or move it away")
+                Error::input(
+                    &path,
+                    "is not in the list of exposure times",
+                    "add a line for it or move it away",
+                )
             })?),
             None => exif_exposure_s(&path),
         };
@@ -55,7 +67,13 @@ pub(super) fn read(folder: &Path, options: &Options, notes: &mut Vec<String>) ->
         found.push(Found { path, view, exposure_s });
     }
     let views = (0..=view)
-        .map(|view| View { name: format!("view{view:03}"), pan_deg: None, tilt_deg: None, lens: 0, pose: None })
+        .map(|view| View {
+            name: format!("view{view:03}"),
+            pan_deg: None,
+            tilt_deg: None,
+            lens: 0,
+            pose: None,
+        })
         .collect();
     notes.push(format!("{} photographs make {} views", found.len(), view + 1));
     Ok((Manifest { views, ..Manifest::new("folder") }, found))

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use super::{Event, Manifest, Photograph, Session};
 use crate::geometry::Surface;
 use crate::progress::Progress;
-use crate::picture::Picture;
+use crate::radiance::Picture;
 use crate::view_file::Calibration;
 use crate::{Error, Result, file};
 
@@ -47,6 +47,8 @@ pub struct Options {
     pub distance_m: Option<f64>,
     /// A lens, and poses of views, from elsewhere.
     pub calibration: Option<Calibration>,
+    /// Flat-field photographs (an even surface), from which the vignetting is found.
+    pub flats: Vec<PathBuf>,
     /// A list "file 1/t" per line, as OpenCV's samples have it, in place of EXIF.
     pub exposure_list: Option<PathBuf>,
     /// How many photographs of a folder make a view; by default a view starts where an exposure time comes again.
@@ -78,12 +80,19 @@ struct Found {
 /// # Errors
 /// [`Error::Input`] naming the file when a photograph cannot be read, has no exposure time or another size than the
 /// others of its lens; when a table or model is damaged; [`Error::Io`] when the disk is full or cannot be written.
-pub fn import(source: &Source, session_folder: &Path, options: &Options, progress: &dyn Progress) -> Result<Imported> {
+pub fn import(
+    source: &Source,
+    session_folder: &Path,
+    options: &Options,
+    progress: &dyn Progress,
+) -> Result<Imported> {
     let mut notes = vec![];
     let (mut manifest, mut found) = match source {
         Source::Folder(path) => folder::read(path, options, &mut notes)?,
         Source::Csv { table, photographs } => table::read(table, photographs)?,
-        Source::Colmap { model, photographs } => colmap::read(model, photographs, options.surface, &mut notes)?,
+        Source::Colmap { model, photographs } => {
+            colmap::read(model, photographs, options.surface, &mut notes)?
+        }
     };
     manifest.surface = options.surface.or(manifest.surface);
     manifest.distance_m = options.distance_m.or(manifest.distance_m);
@@ -92,7 +101,7 @@ pub fn import(source: &Source, session_folder: &Path, options: &Options, progres
         apply(calibration, &mut manifest, sizes[0]);
     }
     check_sizes(&found, &sizes, &mut manifest, &mut notes)?;
-    copy(&found, manifest, session_folder)?;
+    copy(&found, &options.flats, manifest, session_folder)?;
     Ok(Imported { session: Session::open(session_folder)?, notes })
 }
 
@@ -149,7 +158,12 @@ fn apply(calibration: &Calibration, manifest: &mut Manifest, (width, height): (u
 }
 
 /// All photographs of a lens have one size; a lens calibrated at another size is scaled to them.
-fn check_sizes(found: &[Found], sizes: &[(u32, u32)], manifest: &mut Manifest, notes: &mut Vec<String>) -> Result<()> {
+fn check_sizes(
+    found: &[Found],
+    sizes: &[(u32, u32)],
+    manifest: &mut Manifest,
+    notes: &mut Vec<String>,
+) -> Result<()> {
     let mut first: BTreeMap<usize, usize> = BTreeMap::new();
     for (index, photograph) in found.iter().enumerate() {
         let lens = manifest.views[photograph.view].lens;
@@ -191,16 +205,29 @@ fn exif_exposure_s(path: &Path) -> Option<f64> {
 }
 
 /// Builds the session beside its place and renames it: after an error or Ctrl-C nothing is left.
-fn copy(found: &[Found], manifest: Manifest, session_folder: &Path) -> Result<()> {
+fn copy(found: &[Found], flats: &[PathBuf], manifest: Manifest, session_folder: &Path) -> Result<()> {
     super::refuse_occupied(session_folder)?;
     file::write_beside(session_folder, |folder| {
-        let finished = fill(found, manifest, folder);
+        let finished = fill(found, manifest, folder).and_then(|()| copy_flats(flats, folder));
         if finished.is_err() {
             // Best effort: the error that matters is the one returned.
             let _ = fs::remove_dir_all(folder);
         }
         finished
     })
+}
+
+fn copy_flats(flats: &[PathBuf], folder: &Path) -> Result<()> {
+    let target = folder.join("flats");
+    if !flats.is_empty() {
+        fs::create_dir(&target).map_err(Error::io("create", &target))?;
+    }
+    for path in flats {
+        Picture::read(path)?;
+        let copy = target.join(path.file_name().unwrap_or_default());
+        fs::copy(path, &copy).map_err(Error::io("copy", path))?;
+    }
+    Ok(())
 }
 
 fn fill(found: &[Found], manifest: Manifest, folder: &Path) -> Result<()> {
@@ -217,7 +244,11 @@ fn fill(found: &[Found], manifest: Manifest, folder: &Path) -> Result<()> {
         }
         let file = format!("photographs/{name}");
         fs::copy(&photograph.path, folder.join(&file)).map_err(Error::io("copy", &photograph.path))?;
-        session.record(Event::Photograph(Photograph { view: photograph.view, file, exposure_s: photograph.exposure_s }))?;
+        session.record(Event::Photograph(Photograph {
+            view: photograph.view,
+            file,
+            exposure_s: photograph.exposure_s,
+        }))?;
     }
     (0..session.manifest.views.len()).try_for_each(|view| session.record(Event::ViewDone { view }))
 }

@@ -30,7 +30,8 @@ const TOLERANCE: f64 = 0.005;
 /// Triangulates the tracks (rays to one point each), finds their dominant plane, turns it towards the cameras, and lays x along
 /// their mean `rights`. `None` when fewer than 10 points lie on one plane.
 pub(super) fn find(tracks: &[Vec<Ray>], centres: &[DVec3], rights: &[DVec3]) -> Option<Frame> {
-    let points: Vec<DVec3> = tracks.iter().filter(|rays| rays.len() >= 3).filter_map(|rays| triangulate(rays)).collect();
+    let points: Vec<DVec3> =
+        tracks.iter().filter(|rays| rays.len() >= 3).filter_map(|rays| triangulate(rays)).collect();
     if points.len() < 10 {
         return None;
     }
@@ -39,7 +40,8 @@ pub(super) fn find(tracks: &[Vec<Ray>], centres: &[DVec3], rights: &[DVec3]) -> 
     let (mut base, mut normal) = dominant_plane(&points, tolerance)?;
     let mut inliers = vec![];
     for _ in 0..5 {
-        inliers = points.iter().copied().filter(|&point| ((point - base).dot(normal)).abs() < tolerance).collect();
+        inliers =
+            points.iter().copied().filter(|&point| ((point - base).dot(normal)).abs() < tolerance).collect();
         base = inliers.iter().sum::<DVec3>() / inliers.len() as f64;
         normal = smallest_axis(&inliers, base)?;
     }
@@ -126,13 +128,16 @@ mod tests {
     fn the_plane_of_most_points_is_found_among_others() {
         let (x, y) = (DVec3::new(0.6, 0.8, 0.0), DVec3::new(0.0, 0.0, 1.0));
         let z = x.cross(y);
-        let centres: Vec<DVec3> = (0..4).map(|k| z * 10.0 + x * f64::from(k) - y * f64::from(k * k) * 0.3).collect();
+        let centres: Vec<DVec3> =
+            (0..4).map(|k| z * 10.0 + x * f64::from(k) - y * f64::from(k * k) * 0.3).collect();
         let mut tracks = vec![];
         for i in 0..400 {
             let (u, v) = (f64::from(i % 20) / 10.0 - 1.0, f64::from(i / 20) / 10.0 - 1.0);
             let above = if i % 3 == 0 { 1.0 + u * v } else { 0.0 };
             let point = x * u + y * v + z * above;
-            tracks.push(centres.iter().map(|&c| Ray { origin: c, direction: (point - c).normalize() }).collect());
+            tracks.push(
+                centres.iter().map(|&c| Ray { origin: c, direction: (point - c).normalize() }).collect(),
+            );
         }
         let frame = find(&tracks, &centres, &[x; 4]).unwrap();
         assert!((frame.world_from_surface * DVec3::Z).dot(z) > 0.999_999);

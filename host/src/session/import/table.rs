@@ -11,7 +11,10 @@ const COLUMNS: [&str; 5] = ["file", "view", "pan_deg", "tilt_deg", "exposure_s"]
 
 /// Reads the table; its files are relative to `photographs`.
 pub(super) fn read(table: &Path, photographs: &Path) -> Result<(Manifest, Vec<Found>)> {
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_path(table).map_err(|error| damaged(table, &error))?;
+    let mut reader = csv::ReaderBuilder::new()
+        .trim(csv::Trim::All)
+        .from_path(table)
+        .map_err(|error| damaged(table, &error))?;
     let headers = reader.headers().map_err(|error| damaged(table, &error))?.clone();
     let mut at = [0; 5];
     for (column, name) in at.iter_mut().zip(COLUMNS) {
@@ -40,11 +43,19 @@ pub(super) fn read(table: &Path, photographs: &Path) -> Result<(Manifest, Vec<Fo
         };
         let file = record[at[0]].to_owned();
         let number_of_view: u32 = record[at[1]].parse().map_err(|_| {
-            Error::input(table, format!("line {line}: view is '{}'", &record[at[1]]), "number the views 0, 1, 2, ...")
+            Error::input(
+                table,
+                format!("line {line}: view is '{}'", &record[at[1]]),
+                "number the views 0, 1, 2, ...",
+            )
         })?;
         let (pan_deg, tilt_deg, exposure_s) = (number(2)?, number(3)?, number(4)?);
         if let Some(other) = files.insert(file.clone(), line) {
-            return Err(Error::input(table, format!("{file} is on line {other} and on line {line}"), "remove one of them"));
+            return Err(Error::input(
+                table,
+                format!("{file} is on line {other} and on line {line}"),
+                "remove one of them",
+            ));
         }
         let (pan, tilt, times) = views.entry(number_of_view).or_insert((pan_deg, tilt_deg, vec![]));
         if (*pan, *tilt) != (pan_deg, tilt_deg) {
@@ -59,7 +70,9 @@ pub(super) fn read(table: &Path, photographs: &Path) -> Result<(Manifest, Vec<Fo
         if times.contains(&exposure_s) {
             return Err(Error::input(
                 table,
-                format!("line {line}: view {number_of_view} is repeated with the same exposure time, {exposure_s} s"),
+                format!(
+                    "line {line}: view {number_of_view} is repeated with the same exposure time, {exposure_s} s"
+                ),
                 "remove one of the two photographs or correct its view",
             ));
         }
@@ -69,7 +82,8 @@ pub(super) fn read(table: &Path, photographs: &Path) -> Result<(Manifest, Vec<Fo
     if rows.is_empty() {
         return Err(Error::input(table, "has no row", "list one photograph on each line"));
     }
-    let index: BTreeMap<u32, usize> = views.keys().enumerate().map(|(index, &number)| (number, index)).collect();
+    let index: BTreeMap<u32, usize> =
+        views.keys().enumerate().map(|(index, &number)| (number, index)).collect();
     let found = rows
         .into_iter()
         .map(|(file, view, exposure_s)| Found {
@@ -93,7 +107,13 @@ pub(super) fn read(table: &Path, photographs: &Path) -> Result<(Manifest, Vec<Fo
 
 fn damaged(table: &Path, error: &csv::Error) -> Error {
     match error.kind() {
-        csv::ErrorKind::Io(source) => Error::io("read", table)(std::io::Error::new(source.kind(), source.to_string())),
-        _ => Error::input(table, format!("is not a table ({error})"), "write comma-separated values with one header line"),
+        csv::ErrorKind::Io(source) => {
+            Error::io("read", table)(std::io::Error::new(source.kind(), source.to_string()))
+        }
+        _ => Error::input(
+            table,
+            format!("is not a table ({error})"),
+            "write comma-separated values with one header line",
+        ),
     }
 }

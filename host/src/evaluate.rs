@@ -1,0 +1,263 @@
+//! How far a parameter map is from views that it has not seen.
+//!
+//! The score: every reference view is rendered; over the pixels whose surface point lies in the sampled area (and that the
+//! reference measured) the per-channel scale is median(truth / prediction) over all views together; both go through
+//! 1 - exp(-gamma L) with gamma = ln 2 / median(truth); what counts is the mean absolute difference times 255, and the PSNR.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use half::f16;
+
+use crate::geometry::{Lens, Pose};
+use crate::parameter_map::ParameterMap;
+use crate::progress::{Progress, Silent};
+use crate::radiance::{Picture, RadianceImage};
+use crate::render::{expose, gamma_for_median, render};
+use crate::session::Session;
+use crate::view_file::ReferenceFile;
+use crate::{Error, Result};
+
+/// A view to compare with.
+#[derive(Debug, Clone)]
+pub struct Reference {
+    /// Its name in tables.
+    pub name: String,
+    /// Its lens.
+    pub lens: Lens,
+    /// Its pose.
+    pub pose: Pose,
+    /// What was really seen; masked pixels do not count.
+    pub radiance: RadianceImage,
+}
+
+/// The error of one view.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ViewError {
+    /// The view's name.
+    pub name: String,
+    /// How many pixels were compared.
+    pub pixels: usize,
+    /// Mean absolute difference, of 255.
+    pub mean_255: f64,
+    /// Peak signal to noise ratio, decibels.
+    pub psnr_db: f64,
+    /// Median over pixels and channels of |truth - scale x prediction| / truth.
+    pub median_relative: f64,
+}
+
+/// One view as pictures: pixels outside the sampled area are black in all three.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Comparison {
+    /// The view's name.
+    pub name: String,
+    /// Width, pixels.
+    pub width: u32,
+    /// Height, pixels.
+    pub height: u32,
+    /// What was seen, exposed to 8 bits.
+    pub truth: Vec<[u8; 3]>,
+    /// What the map says.
+    pub prediction: Vec<[u8; 3]>,
+    /// Four times (prediction - truth) around middle grey.
+    pub difference: Vec<[u8; 3]>,
+}
+
+/// The errors of all views.
+#[derive(Debug, Clone)]
+pub struct Evaluation {
+    /// What the prediction was multiplied by, per channel.
+    pub scale: [f32; 3],
+    /// The exposure of the comparison.
+    pub gamma: f32,
+    /// View by view.
+    pub views: Vec<ViewError>,
+    /// The same as pictures.
+    pub comparisons: Vec<Comparison>,
+}
+
+impl Evaluation {
+    /// Mean over the views of the mean absolute difference, of 255.
+    pub fn mean_255(&self) -> f64 {
+        self.mean(|view| view.mean_255)
+    }
+
+    /// Mean over the views of the PSNR, decibels.
+    pub fn psnr_db(&self) -> f64 {
+        self.mean(|view| view.psnr_db)
+    }
+
+    /// Mean over the views of the median relative error.
+    pub fn median_relative(&self) -> f64 {
+        self.mean(|view| view.median_relative)
+    }
+
+    fn mean(&self, value: impl Fn(&ViewError) -> f64) -> f64 {
+        self.views.iter().map(value).sum::<f64>() / self.views.len() as f64
+    }
+
+    /// The table as CSV.
+    pub fn csv(&self) -> String {
+        let mut csv = String::from("view,pixels,mean_of_255,psnr_db,median_relative\n");
+        for ViewError { name, pixels, mean_255, psnr_db, median_relative } in &self.views {
+            let _ = writeln!(csv, "{name},{pixels},{mean_255:.4},{psnr_db:.3},{median_relative:.5}");
+        }
+        csv
+    }
+}
+
+/// The reference views of a list (see [`crate::view_file`]).
+///
+/// # Errors
+/// [`Error::Input`] naming the list or a picture that cannot be used.
+pub fn read_references(list: &Path, pixel_centre: f64) -> Result<Vec<Reference>> {
+    let load = |entry: ReferenceFile| {
+        let radiance = linear_picture(&entry.file)?;
+        let lens = entry.lens(radiance.width, radiance.height);
+        if (lens.width, lens.height) != (radiance.width, radiance.height) {
+            return Err(Error::input(
+                &entry.file,
+                format!(
+                    "is {}x{} pixels, its camera {}x{}",
+                    radiance.width, radiance.height, lens.width, lens.height
+                ),
+                "correct width and height in the list",
+            ));
+        }
+        let name = entry.file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        Ok(Reference { name, lens, pose: entry.pose, radiance })
+    };
+    ReferenceFile::read_list(list, pixel_centre)?.into_iter().map(load).collect()
+}
+
+/// A picture of linear radiance that somebody else made: every pixel counts as measured.
+fn linear_picture(path: &Path) -> Result<RadianceImage> {
+    let picture = Picture::read(path)?;
+    if picture.white != Picture::FLOAT_WHITE {
+        return Err(Error::input(
+            path,
+            "does not hold linear radiance",
+            "give an OpenEXR or Radiance HDR picture",
+        ));
+    }
+    Ok(RadianceImage {
+        width: picture.width,
+        height: picture.height,
+        variance: vec![[0.0; 3]; picture.levels.len()],
+        mask: vec![0; picture.levels.len()],
+        radiance: picture
+            .levels
+            .into_iter()
+            .map(|pixel| pixel.map(|bits| f16::from_bits(bits).to_f32()))
+            .collect(),
+    })
+}
+
+/// Views of a session as references, by index.
+///
+/// # Errors
+/// [`Error::Input`] when a view's radiance, lens or pose is missing.
+pub fn session_references(session: &Session, views: &[usize]) -> Result<Vec<Reference>> {
+    let load = |&view: &usize| {
+        Ok(Reference {
+            name: session.manifest.views[view].name.clone(),
+            lens: *session.manifest.lens(view)?,
+            pose: session.pose(view)?,
+            radiance: RadianceImage::read_exr(&session.radiance_path(view))?,
+        })
+    };
+    views.iter().map(load).collect()
+}
+
+/// Renders every reference view and compares.
+///
+/// # Errors
+/// [`Error::Request`] when no pixel can be compared; [`Error::Interrupted`].
+pub fn evaluate(map: &ParameterMap, references: &[Reference], progress: &dyn Progress) -> Result<Evaluation> {
+    let mut seen = vec![];
+    for (index, reference) in references.iter().enumerate() {
+        progress.step(index, references.len())?;
+        let radiance = |point, direction| map.radiance_at(map.surface.texel_at(map.texels, point), direction);
+        let rendering = render(&map.surface, &reference.lens, &reference.pose, radiance, &Silent)?;
+        let counts = |&i: &usize| rendering.inside[i] && reference.radiance.mask[i] == 0;
+        let pixels: Vec<usize> = (0..rendering.inside.len()).filter(counts).collect();
+        if pixels.is_empty() {
+            return Err(Error::request(
+                format!("reference view {} shows nothing of the sampled area", reference.name),
+                "check its pose and lens, or leave it out",
+            ));
+        }
+        seen.push((pixels, rendering.radiance));
+    }
+    progress.step(references.len(), references.len())?;
+    let scale = [0, 1, 2].map(|channel| {
+        let ratios = seen.iter().zip(references).flat_map(|((pixels, prediction), reference)| {
+            pixels
+                .iter()
+                .map(move |&i| reference.radiance.radiance[i][channel] / prediction[i][channel].max(1e-9))
+        });
+        median(ratios.collect())
+    });
+    let truth = references
+        .iter()
+        .zip(&seen)
+        .flat_map(|(reference, (pixels, _))| pixels.iter().flat_map(|&i| reference.radiance.radiance[i]));
+    let gamma = gamma_for_median(&truth.collect::<Vec<f32>>())?;
+    let (views, comparisons) = references
+        .iter()
+        .zip(&seen)
+        .map(|(reference, (pixels, prediction))| compare(reference, pixels, prediction, scale, gamma))
+        .unzip();
+    Ok(Evaluation { scale, gamma, views, comparisons })
+}
+
+fn compare(
+    reference: &Reference,
+    pixels: &[usize],
+    prediction: &[[f32; 3]],
+    scale: [f32; 3],
+    gamma: f32,
+) -> (ViewError, Comparison) {
+    let size = prediction.len();
+    let mut comparison = Comparison {
+        name: reference.name.clone(),
+        width: reference.lens.width,
+        height: reference.lens.height,
+        truth: vec![[0; 3]; size],
+        prediction: vec![[0; 3]; size],
+        difference: vec![[0; 3]; size],
+    };
+    let (mut absolute, mut squared, mut relative) = (0.0, 0.0, vec![]);
+    for &i in pixels {
+        for channel in 0..3 {
+            let (truth, predicted) =
+                (reference.radiance.radiance[i][channel], prediction[i][channel] * scale[channel]);
+            let (a, b) = (expose(truth, gamma), expose(predicted, gamma));
+            absolute += f64::from((a - b).abs());
+            squared += f64::from((a - b).powi(2));
+            if truth > 0.0 {
+                relative.push((predicted - truth).abs() / truth);
+            }
+            comparison.truth[i][channel] = (a * 255.0).round() as u8;
+            comparison.prediction[i][channel] = (b * 255.0).round() as u8;
+            comparison.difference[i][channel] = (128.0 + 4.0 * 255.0 * (b - a)).round() as u8;
+        }
+    }
+    let count = (3 * pixels.len()) as f64;
+    let error = ViewError {
+        name: reference.name.clone(),
+        pixels: pixels.len(),
+        mean_255: 255.0 * absolute / count,
+        psnr_db: -10.0 * (squared / count).log10(),
+        median_relative: f64::from(median(relative)),
+    };
+    (error, comparison)
+}
+
+fn median(mut values: Vec<f32>) -> f32 {
+    if values.is_empty() {
+        return f32::NAN;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f32::total_cmp).1
+}
