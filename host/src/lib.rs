@@ -15,5 +15,6 @@ pub mod parameter_map;
 pub mod progress;
 pub mod radiance;
 pub mod render;
+pub mod report;
 
 pub use error::{Error, Result};
