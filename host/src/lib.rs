@@ -23,5 +23,6 @@ pub mod rig;
 pub mod session;
 pub mod units;
 pub mod view_file;
+pub mod report;
 
 pub use error::{Error, Result};
