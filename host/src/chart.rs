@@ -85,7 +85,8 @@ pub fn scatter(points: &[ChartPoint], axes: (Axis, Axis)) -> Result<String> {
             canvas.mark(all[i], mark)?;
             labels.push(Label { text: &point.label, anchor: canvas.pixel(all[i]) });
         }
-        place(&labels, canvas.plot_area()).iter().try_for_each(|placed| canvas.label(placed))
+        let stairs: Vec<_> = steps.windows(2).map(|ends| canvas.around(ends[0], ends[1])).collect();
+        place(&labels, &stairs, canvas.plot_area()).iter().try_for_each(|placed| canvas.label(placed))
     })
 }
 

@@ -87,7 +87,7 @@ pub(super) fn chart(
         drawn(sheet.present())?;
     }
     let header = format!(r#"<svg width="{}" height="{}""#, size.0, size.1);
-    let page = format!(r#"<svg class="chart" role="img" width="{WIDTH}" height="{HEIGHT}""#);
+    let page = format!(r#"<svg class="chart" width="{WIDTH}" height="{HEIGHT}""#);
     // In a file of its own the picture has no page to take its ink from.
     let ink = "<style>.chart{color:#222;font-family:sans-serif;max-width:100%;height:auto}\
                @media(prefers-color-scheme:dark){.chart{color:#ddd}}\
@@ -107,6 +107,12 @@ impl Canvas<'_> {
     pub(super) fn plot_area(&self) -> Rectangle {
         let (x, y) = self.plot.get_pixel_range();
         [x.start, y.start, x.end, y.end].map(|edge| f64::from(edge) / UNITS)
+    }
+
+    /// The area of a level or upright line between two values, pixels.
+    pub(super) fn around(&self, a: (f64, f64), b: (f64, f64)) -> Rectangle {
+        let (a, b) = (self.pixel(a), self.pixel(b));
+        [a.0.min(b.0) - 1.0, a.1.min(b.1) - 1.0, a.0.max(b.0) + 1.0, a.1.max(b.1) + 1.0]
     }
 
     /// A mark at a value.

@@ -28,8 +28,10 @@ pub(super) fn width_of(text: &str, letters: f64) -> f64 {
 }
 
 /// Finds a place within `bounds` for every label that is not empty: beside its point, or farther out where it is crowded.
-pub(super) fn place<'a>(labels: &[Label<'a>], bounds: Rectangle) -> Vec<Placed<'a>> {
-    let marks: Vec<Rectangle> = labels.iter().map(|l| around(l.anchor, 5.0)).collect();
+/// `obstacles` are what a label had better not cover besides the points.
+pub(super) fn place<'a>(labels: &[Label<'a>], obstacles: &[Rectangle], bounds: Rectangle) -> Vec<Placed<'a>> {
+    let marks: Vec<Rectangle> =
+        labels.iter().map(|l| around(l.anchor, 5.0)).chain(obstacles.iter().copied()).collect();
     let named: Vec<&Label> = labels.iter().filter(|label| !label.text.is_empty()).collect();
     let mut chosen: Vec<Option<(Rectangle, bool)>> = vec![None; named.len()];
     // A later label may take the room that an earlier one does not need: three rounds settle that.
@@ -100,7 +102,7 @@ mod tests {
             .collect();
         let corner = Label { text: "in the corner", anchor: (498.0, 298.0) };
         let labels: Vec<Label> = crowd.into_iter().chain([corner]).collect();
-        let placed = place(&labels, BOUNDS);
+        let placed = place(&labels, &[], BOUNDS);
         assert_eq!(placed.len(), 13);
         for (i, a) in placed.iter().enumerate() {
             let size = (a.area[2] - a.area[0]) * (a.area[3] - a.area[1]);
@@ -115,7 +117,7 @@ mod tests {
     fn a_lonely_label_stands_to_the_right_of_its_point_and_an_empty_one_nowhere() {
         let labels =
             [Label { text: "", anchor: (10.0, 10.0) }, Label { text: "alone", anchor: (100.0, 100.0) }];
-        let placed = place(&labels, BOUNDS);
+        let placed = place(&labels, &[], BOUNDS);
         assert_eq!(placed.len(), 1);
         assert!(
             placed[0].area[0] > 105.0

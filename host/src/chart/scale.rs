@@ -43,7 +43,11 @@ impl Scale {
         if decades < 0.7 {
             return multiples(10f64.powf(self.low), 10f64.powf(self.high), most);
         }
-        let mantissas: &[f64] = if decades < 2.5 { &[1.0, 2.0, 5.0] } else { &[1.0] };
+        let mantissas: &[f64] = match decades {
+            ..2.2 => &[1.0, 2.0, 5.0],
+            ..4.0 => &[1.0, 3.0],
+            _ => &[1.0],
+        };
         let step = (decades / most).ceil().max(1.0) as i32;
         let (first, last) = (self.low.floor() as i32, self.high.ceil() as i32);
         (first..=last)
@@ -54,11 +58,12 @@ impl Scale {
     }
 }
 
-/// Multiples of 1, 2 or 5 times a power of ten.
+/// Multiples of 1, 2, 2.5 or 5 times a power of ten.
 fn multiples(low: f64, high: f64, most: f64) -> Vec<f64> {
     let rough = (high - low) / most;
     let power = 10f64.powf(rough.log10().floor());
-    let step = [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|&s| s >= rough).unwrap_or(rough);
+    let step =
+        [1.0, 2.0, 2.5, 5.0, 10.0].map(|m| m * power).into_iter().find(|&s| s >= rough).unwrap_or(rough);
     ((low / step).ceil() as i64..=(high / step).floor() as i64).map(|i| i as f64 * step).collect()
 }
 
@@ -100,8 +105,8 @@ mod tests {
 
     #[test]
     fn ticks_are_round_few_and_inside() {
-        let ranges: [(f64, f64); 6] =
-            [(0.3, 0.9), (1e-6, 3e4), (12.0, 13.0), (1.0, 40.0), (5.0, 5.0), (0.02, 90.0)];
+        let ranges: [(f64, f64); 7] =
+            [(0.3, 0.9), (1e-6, 3e4), (12.0, 13.0), (1.0, 40.0), (5.0, 5.0), (0.3, 1.0), (0.02, 90.0)];
         for (a, b) in ranges {
             for logarithmic in [false, true] {
                 let scale = Scale::over([a, b].into_iter(), logarithmic);

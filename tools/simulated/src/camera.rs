@@ -1,14 +1,14 @@
 //! A camera that photographs a [`Scene`] through a lens with distortion and vignetting, a response curve and noise,
 //! all of them known.
 
+mod sensor;
+
 use std::path::{Path, PathBuf};
 
 use glam::{DVec2, DVec3};
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
-use rand::rngs::StdRng;
-use rand::{Rng, SeedableRng};
 use rayon::prelude::*;
 use rigel::camera::{Camera, Taken};
 use rigel::file::write_bytes;
@@ -17,13 +17,8 @@ use rigel::radiance::RadianceImage;
 use rigel::{Error, Result};
 
 use crate::scene::Scene;
+use sensor::{FULL_EXPOSURE, Noise, response};
 
-/// The exposure (radiance times seconds) that just saturates a pixel in the picture's centre.
-const FULL_EXPOSURE: f64 = 0.02;
-/// Electrons in a pixel that is just saturated.
-const FULL_ELECTRONS: f64 = 12_000.0;
-/// Standard deviation of the read noise, electrons.
-const READ_ELECTRONS: f64 = 8.0;
 /// Exposure times are multiples of this, seconds.
 const TICK_S: f64 = 1e-5;
 /// Sub-samples of a pixel, in pixels from its centre.
@@ -276,55 +271,15 @@ fn exif_with_exposure(ticks: u32) -> Vec<u8> {
     exif
 }
 
-fn response(exposure: f64) -> f64 {
-    let x = (exposure / FULL_EXPOSURE).clamp(0.0, 1.0);
-    let y = if x < 0.018 { 4.5 * x } else { 1.099 * x.powf(0.45) - 0.099 };
-    255.0 * (y + 0.12 * y * (1.0 - y) * (2.0 * y - 1.0))
-}
-
 fn vignetting(lens: &Lens, pixel: DVec2) -> f64 {
     let half_diagonal = DVec2::new(f64::from(lens.width), f64::from(lens.height)).length() / 2.0;
     let r2 = (pixel - DVec2::new(lens.cx, lens.cy)).length_squared() / (half_diagonal * half_diagonal);
     1.0 - 0.26 * r2 - 0.08 * r2 * r2
 }
 
-/// Shot and read noise from one stream of random numbers.
-struct Noise {
-    random: StdRng,
-    /// Box and Muller's formula gives two numbers at a time.
-    spare: Option<f64>,
-}
-
-impl Noise {
-    fn new(seeds: [u64; 3]) -> Self {
-        let mut seed = [0; 32];
-        for (bytes, value) in seed.chunks_exact_mut(8).zip(seeds) {
-            bytes.copy_from_slice(&value.to_le_bytes());
-        }
-        Self { random: StdRng::from_seed(seed), spare: None }
-    }
-
-    /// What a pixel measures that should measure `full`, as a fraction of saturation.
-    fn disturb(&mut self, full: f64) -> f64 {
-        let electrons = full * FULL_ELECTRONS;
-        // For the thousands of electrons that matter the Poisson distribution is normal.
-        let sigma = (electrons + READ_ELECTRONS * READ_ELECTRONS).sqrt();
-        (electrons + sigma * self.normal()) / FULL_ELECTRONS
-    }
-
-    fn normal(&mut self) -> f64 {
-        if let Some(spare) = self.spare.take() {
-            return spare;
-        }
-        let radius = (-2.0 * (1.0 - self.random.random::<f64>()).ln()).sqrt();
-        let (sin, cos) = (std::f64::consts::TAU * self.random.random::<f64>()).sin_cos();
-        self.spare = Some(radius * sin);
-        radius * cos
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use super::sensor::{FULL_ELECTRONS, READ_ELECTRONS};
     use super::*;
     use std::cell::Cell;
     use std::fs;
@@ -525,12 +480,5 @@ mod tests {
             assert!(error.to_string().contains("choose a time"), "{error}");
         }
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
-    }
-
-    #[test]
-    fn the_response_rises_and_saturates() {
-        let levels: Vec<f64> = (0..=1000).map(|i| response(FULL_EXPOSURE * f64::from(i) / 1000.0)).collect();
-        assert!(levels.windows(2).all(|pair| pair[1] > pair[0]));
-        assert!(levels[0] == 0.0 && (levels[1000] - 255.0).abs() < 1e-9 && response(1.0) == levels[1000]);
     }
 }

@@ -142,7 +142,9 @@ impl Scene {
             return [0.0; 3];
         }
         let Some(spot) = self.spot(point_m) else {
-            return [self.frame_albedo(point_m) * self.irradiance(point_m); 3];
+            let albedo = self.frame_albedo(point_m);
+            // Most of a photograph is black surround, which no lamp makes brighter.
+            return if albedo > 0.0 { [albedo * self.irradiance(point_m); 3] } else { [0.0; 3] };
         };
         let (mut irradiance, mut specular) = (0.0, 0.0);
         for light in self.lamps_at(point_m).map(|lamp| lamp.light_at(point_m)) {
