@@ -13,10 +13,10 @@ use crate::geometry::{Lens, Pose};
 use crate::parameter_map::ParameterMap;
 use crate::progress::{Progress, Silent};
 use crate::radiance::{Picture, RadianceImage};
-use crate::render::{expose, gamma_for_median, render};
+use crate::render::{self, expose, gamma_for_median, render};
 use crate::session::Session;
 use crate::view_file::ReferenceFile;
-use crate::{Error, Result};
+use crate::{Error, Result, file};
 
 /// A view to compare with.
 #[derive(Debug, Clone)]
@@ -76,6 +76,29 @@ pub struct Evaluation {
     pub comparisons: Vec<Comparison>,
 }
 
+impl Comparison {
+    /// One of its pictures as a PNG file.
+    ///
+    /// # Errors
+    /// [`Error::Request`] when `levels` is not a picture of this size.
+    pub fn png(&self, levels: &[[u8; 3]]) -> Result<Vec<u8>> {
+        render::png(self.width, self.height, levels.as_flattened())
+    }
+
+    /// Truth, prediction and difference side by side as a PNG file.
+    ///
+    /// # Errors
+    /// [`Error::Request`] when the picture is too large.
+    pub fn side_by_side_png(&self) -> Result<Vec<u8>> {
+        let width = self.width as usize;
+        let rows = (0..self.height as usize).map(|row| row * width..(row + 1) * width);
+        let levels: Vec<[u8; 3]> = rows
+            .flat_map(|row| [&self.truth[row.clone()], &self.prediction[row.clone()], &self.difference[row]].concat())
+            .collect();
+        render::png(3 * self.width, self.height, levels.as_flattened())
+    }
+}
+
 impl Evaluation {
     /// Mean over the views of the mean absolute difference, of 255.
     pub fn mean_255(&self) -> f64 {
@@ -94,6 +117,18 @@ impl Evaluation {
 
     fn mean(&self, value: impl Fn(&ViewError) -> f64) -> f64 {
         self.views.iter().map(value).sum::<f64>() / self.views.len() as f64
+    }
+
+    /// Writes errors.csv and, for each view, truth, prediction and difference side by side as a PNG.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when `folder` cannot be written.
+    pub fn write(&self, folder: &Path) -> Result<()> {
+        std::fs::create_dir_all(folder).map_err(Error::io("create", folder))?;
+        for comparison in &self.comparisons {
+            file::write_bytes(&folder.join(format!("{}.png", comparison.name)), &comparison.side_by_side_png()?)?;
+        }
+        file::write_bytes(&folder.join("errors.csv"), self.csv().as_bytes())
     }
 
     /// The table as CSV.

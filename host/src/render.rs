@@ -101,22 +101,7 @@ impl Rendering {
         }
         let level = |&radiance: &f32| (255.0 * expose(radiance, gamma)).round() as u8;
         let levels: Vec<u8> = self.radiance.as_flattened().iter().map(level).collect();
-        let mut bytes = Vec::new();
-        image::write_buffer_with_format(
-            &mut std::io::Cursor::new(&mut bytes),
-            &levels,
-            self.width,
-            self.height,
-            image::ExtendedColorType::Rgb8,
-            image::ImageFormat::Png,
-        )
-        .map_err(|error| {
-            Error::request(
-                format!("a PNG of {}x{} pixels cannot be made ({error})", self.width, self.height),
-                "render a smaller picture",
-            )
-        })?;
-        Ok(bytes)
+        png(self.width, self.height, &levels)
     }
 
     /// Writes an OpenEXR file with 32-bit channels R, G, B (radiance) and A: 1 inside, 0 outside.
@@ -138,6 +123,26 @@ impl Rendering {
             })
         })
     }
+}
+
+/// The content of an 8-bit RGB PNG file: three levels a pixel, row by row from the top-left one.
+///
+/// # Errors
+/// [`Error::Request`] when the levels are not those of `width` x `height` pixels.
+pub fn png(width: u32, height: u32, levels: &[u8]) -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    image::write_buffer_with_format(
+        &mut std::io::Cursor::new(&mut bytes),
+        levels,
+        width,
+        height,
+        image::ExtendedColorType::Rgb8,
+        image::ImageFormat::Png,
+    )
+    .map_err(|error| {
+        Error::request(format!("a PNG of {width}x{height} pixels cannot be made ({error})"), "render a smaller picture")
+    })?;
+    Ok(bytes)
 }
 
 /// The brightness in 0..1 of a radiance, `1 - exp(-gamma radiance)`: nothing clips, and one `gamma` serves photograph and

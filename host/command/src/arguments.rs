@@ -1,0 +1,226 @@
+//! What can be typed.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use rigel::geometry::{Surface, Texels};
+use rigel::units::{parse_length_m, parse_surface, parse_texels};
+
+/// Captures how a surface looks from every direction and fits the smallest model that reproduces it.
+#[derive(Parser)]
+#[command(version, about, arg_required_else_help = true, infer_long_args = false)]
+pub struct Arguments {
+    #[command(subcommand)]
+    pub verb: Verb,
+}
+
+#[derive(Subcommand)]
+pub enum Verb {
+    /// Run everything on a simulated rig and camera, and write report.html
+    Demo(Demo),
+    /// Photograph a surface from many directions: a rig and a camera make a session
+    Capture(Capture),
+    /// Make a session of photographs that you have: a folder, a CSV or a COLMAP text model
+    Import(Import),
+    /// Turn a session's photographs into radiance: one OpenEXR per view, with variance and mask
+    Radiance(Radiance),
+    /// Gather radiance per texel against direction: radiance and poses make an observation map
+    Observe(Observe),
+    /// Fit a model to every texel: an observation map makes a parameter map
+    Fit(Fit),
+    /// See a parameter map from a camera: OpenEXR or PNG
+    Render(Render),
+    /// Compare a parameter map with views that it has not seen: a table, CSV and difference pictures
+    Evaluate(Evaluate),
+}
+
+#[derive(Args)]
+pub struct Demo {
+    /// Folder for everything the demo makes; replaced if a demo made it before
+    #[arg(long, default_value = "rigel-demo")]
+    pub out: PathBuf,
+}
+
+#[derive(Args)]
+pub struct Capture {
+    /// Folder of the session
+    pub session: PathBuf,
+    /// The rig: a serial port such as /dev/ttyACM0, or `simulated`
+    #[arg(long, default_value = "simulated")]
+    pub rig: String,
+    /// The camera
+    #[arg(long, value_enum, default_value = "simulated")]
+    pub camera: CameraChoice,
+    /// How directions are chosen
+    #[arg(long, value_enum, default_value = "icosphere")]
+    pub sampling: SamplingChoice,
+    /// About how many views the whole hemisphere would get (an icosphere has 17, 73, 305 or 1249)
+    #[arg(long, default_value_t = 73)]
+    pub views: usize,
+    /// Largest zenith angle, degrees
+    #[arg(long, default_value_t = 75.0)]
+    pub zenith_limit: f64,
+    /// Seed of the stratified sampling
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// The first exposure time of each view, seconds; it is halved until no pixel is saturated
+    #[arg(long, default_value_t = 1.0)]
+    pub longest_exposure: f64,
+    /// Distance from the rig's centre to the camera
+    #[arg(long, default_value = "900mm", value_parser = parse_length_m)]
+    pub distance: f64,
+    /// Size of the sampled area
+    #[arg(long, default_value = "200mmx150mm", value_parser = parse_surface)]
+    pub surface: Surface,
+    /// The lens, from a TOML or JSON file with OpenCV's names (the simulated camera knows its own)
+    #[arg(long)]
+    pub calibration: Option<PathBuf>,
+    /// Where the calibration has the centre of the first pixel: 0 as OpenCV, or 0.5
+    #[arg(long, default_value_t = 0.0)]
+    pub pixel_centre: f64,
+    /// Print views, time and disk space; move and photograph nothing
+    #[arg(long)]
+    pub dry_run: bool,
+    /// Go on with a session that was interrupted (its own views are kept)
+    #[arg(long)]
+    pub resume: bool,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum CameraChoice {
+    /// Renders a patchwork of known materials where the rig really is
+    Simulated,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum SamplingChoice {
+    Spiral,
+    Icosphere,
+    LatitudeLongitude,
+    Stratified,
+}
+
+#[derive(Args)]
+pub struct Import {
+    /// Folder of the photographs (JPEG, PNG, TIFF or OpenEXR)
+    pub photographs: PathBuf,
+    /// Folder of the new session
+    pub session: PathBuf,
+    /// Table with the columns file,view,pan_deg,tilt_deg,exposure_s
+    #[arg(long, conflicts_with = "colmap")]
+    pub csv: Option<PathBuf>,
+    /// Folder of a COLMAP text model (cameras.txt, images.txt)
+    #[arg(long)]
+    pub colmap: Option<PathBuf>,
+    /// Size of the sampled area, such as 200mmx150mm
+    #[arg(long, value_parser = parse_surface)]
+    pub surface: Option<Surface>,
+    /// Distance from the rig's centre to the camera, such as 900mm
+    #[arg(long, value_parser = parse_length_m)]
+    pub distance: Option<f64>,
+    /// Lens and, if it has them, poses: TOML or JSON with OpenCV's names
+    #[arg(long)]
+    pub calibration: Option<PathBuf>,
+    /// Where the calibration has the centre of the first pixel: 0 as OpenCV, or 0.5
+    #[arg(long, default_value_t = 0.0)]
+    pub pixel_centre: f64,
+    /// Photographs of an evenly lit even surface, for the vignetting
+    #[arg(long, num_args = 1..)]
+    pub flats: Vec<PathBuf>,
+    /// Exposure times in a list as OpenCV's samples have it: file name and 1/t on each line
+    #[arg(long, conflicts_with = "csv")]
+    pub exposure_list: Option<PathBuf>,
+    /// How many photographs of a folder make a view (by default a view starts where an exposure time comes again)
+    #[arg(long)]
+    pub bracket: Option<usize>,
+    /// Take photographs without exposure time; `observe` then estimates one gain for each view
+    #[arg(long)]
+    pub exposures_unknown: bool,
+}
+
+#[derive(Args)]
+pub struct Radiance {
+    /// Folder of the session
+    pub session: PathBuf,
+    /// What the photographs' levels are worth: recover (from the brackets), srgb, linear, or a response.csv
+    #[arg(long, default_value = "recover")]
+    pub response: String,
+}
+
+#[derive(Args)]
+pub struct Observe {
+    /// Folder of the session
+    pub session: PathBuf,
+    /// Columns and rows of texels
+    #[arg(long, default_value = "512x512", value_parser = parse_texels)]
+    pub texels: Texels,
+    /// The observation map [default: observations.rigel in the session]
+    #[arg(long)]
+    pub out: Option<PathBuf>,
+}
+
+#[derive(Args)]
+pub struct Fit {
+    /// The observation map
+    pub observations: PathBuf,
+    /// The model; `auto` takes the smallest of those that predict held-out views best
+    #[arg(long, default_value = "auto")]
+    pub model: String,
+    /// Names of views to leave out, such as view003,view010
+    #[arg(long, value_delimiter = ',')]
+    pub without: Vec<String>,
+    /// The parameter map [default: the model's name beside the observation map]
+    #[arg(long)]
+    pub out: Option<PathBuf>,
+}
+
+#[derive(Args)]
+pub struct Render {
+    /// The parameter map
+    pub map: PathBuf,
+    /// The picture: .png or .exr
+    #[arg(long, default_value = "render.png")]
+    pub out: PathBuf,
+    /// Camera from a TOML or JSON file: fx fy cx cy width height, centre (mm), forward, up
+    #[arg(long, conflicts_with_all = ["pan", "tilt"])]
+    pub camera: Option<PathBuf>,
+    /// Where the camera file has the centre of the first pixel: 0 as OpenCV, or 0.5
+    #[arg(long, default_value_t = 0.0)]
+    pub pixel_centre: f64,
+    /// Pan of the rig, degrees
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    pub pan: f64,
+    /// Tilt of the rig, degrees
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    pub tilt: f64,
+    /// Distance from the rig's centre to the camera [default: four times the surface's longer side]
+    #[arg(long, value_parser = parse_length_m)]
+    pub distance: Option<f64>,
+    /// Columns and rows of pixels, for --pan and --tilt
+    #[arg(long, default_value = "800x600", value_parser = parse_texels)]
+    pub size: Texels,
+    /// Gamma of the exposure function y = 1 - exp(-gamma x) of a PNG [default: half grey for the median]
+    #[arg(long)]
+    pub gamma: Option<f32>,
+}
+
+#[derive(Args)]
+pub struct Evaluate {
+    /// The parameter map
+    pub map: PathBuf,
+    /// List of reference views (TOML or JSON): file, f or fx fy, cx cy, centre (mm), forward, up
+    #[arg(long, required_unless_present = "session")]
+    pub references: Option<PathBuf>,
+    /// Where the list has the centre of the first pixel: 0 as OpenCV, or 0.5
+    #[arg(long, default_value_t = 0.0)]
+    pub pixel_centre: f64,
+    /// Session whose views are the references
+    #[arg(long, conflicts_with = "references", requires = "views")]
+    pub session: Option<PathBuf>,
+    /// Names of the session's views, such as view003,view010
+    #[arg(long, value_delimiter = ',')]
+    pub views: Vec<String>,
+    /// Folder for errors.csv and the pictures [default: the map's name with -errors, beside it]
+    #[arg(long)]
+    pub out: Option<PathBuf>,
+}

@@ -1,0 +1,53 @@
+//! Progress on the terminal, and Ctrl-C.
+
+use std::sync::Once;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressStyle};
+use rigel::progress::Progress;
+use rigel::{Error, Result};
+
+static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+static HANDLER: Once = Once::new();
+
+/// A bar with the remaining time; nothing where the output is not a terminal.
+pub struct Bar(ProgressBar);
+
+impl Bar {
+    /// A bar named after what is being done.
+    pub fn new(doing: &'static str) -> Self {
+        HANDLER.call_once(|| {
+            // Without a handler Ctrl-C still ends the program, only less gently.
+            let _ = ctrlc::set_handler(|| {
+                if INTERRUPTED.swap(true, Ordering::Relaxed) {
+                    std::process::exit(130);
+                }
+            });
+        });
+        let style = ProgressStyle::with_template("{prefix:>12} {wide_bar} {pos}/{len}  {eta} left");
+        let bar = ProgressBar::new(1).with_prefix(doing);
+        if let Ok(style) = style {
+            bar.set_style(style);
+        }
+        bar.enable_steady_tick(Duration::from_millis(200));
+        Self(bar)
+    }
+}
+
+impl Progress for Bar {
+    fn step(&self, done: usize, total: usize) -> Result<()> {
+        self.0.set_length(total as u64);
+        // Threads report out of order; the bar only grows.
+        if done as u64 > self.0.position() {
+            self.0.set_position(done as u64);
+        }
+        if INTERRUPTED.load(Ordering::Relaxed) { Err(Error::Interrupted) } else { Ok(()) }
+    }
+}
+
+impl Drop for Bar {
+    fn drop(&mut self) {
+        self.0.finish_and_clear();
+    }
+}

@@ -1,0 +1,86 @@
+//! From photographs to an observation map: `import`, `radiance`, `observe`.
+
+use std::path::PathBuf;
+
+use rigel::measure::{ResponseChoice, measure};
+use rigel::observation::{self, observe as build};
+use rigel::session::Session;
+use rigel::session::import::{Options, Source, import as run};
+use rigel::view_file::Calibration;
+use rigel::Result;
+
+use crate::arguments::{Import, Observe, Radiance};
+use crate::progress::Bar;
+
+/// `rigel import`.
+pub fn import(arguments: &Import) -> Result<()> {
+    let photographs = arguments.photographs.clone();
+    let source = match (&arguments.csv, &arguments.colmap) {
+        (Some(table), _) => Source::Csv { table: table.clone(), photographs },
+        (None, Some(model)) => Source::Colmap { model: model.clone(), photographs },
+        (None, None) => Source::Folder(photographs),
+    };
+    let calibration =
+        arguments.calibration.as_ref().map(|path| Calibration::read(path, arguments.pixel_centre)).transpose()?;
+    let options = Options {
+        surface: arguments.surface,
+        distance_m: arguments.distance,
+        calibration,
+        flats: arguments.flats.clone(),
+        exposure_list: arguments.exposure_list.clone(),
+        bracket: arguments.bracket,
+        exposures_unknown: arguments.exposures_unknown,
+    };
+    let imported = run(&source, &arguments.session, &options, &Bar::new("importing"))?;
+    for note in &imported.notes {
+        println!("note: {note}");
+    }
+    let views = imported.session.manifest.views.len();
+    let photographs: usize = (0..views).map(|view| imported.session.photographs(view).len()).sum();
+    println!("wrote {}: {views} views, {photographs} photographs", arguments.session.display());
+    Ok(())
+}
+
+/// `rigel radiance`.
+pub fn radiance(arguments: &Radiance) -> Result<()> {
+    let session = Session::open(&arguments.session)?;
+    let choice = match arguments.response.as_str() {
+        "recover" => ResponseChoice::Recover,
+        "srgb" => ResponseChoice::Srgb,
+        "linear" => ResponseChoice::Linear,
+        path => ResponseChoice::File(PathBuf::from(path)),
+    };
+    let measured = measure(&session, &choice, &Bar::new("radiance"))?;
+    if let Some(residual) = measured.vignetting_residual {
+        println!("vignetting: flat fields agree with the model within {:.2} %", 100.0 * residual);
+    }
+    println!(
+        "wrote {}: {} views now, {} kept, {:.2} % of the new pixels could not be measured",
+        session.radiance_folder().display(),
+        measured.written,
+        measured.kept,
+        100.0 * measured.unmeasured
+    );
+    Ok(())
+}
+
+/// `rigel observe`.
+pub fn observe(arguments: &Observe) -> Result<()> {
+    let session = Session::open(&arguments.session)?;
+    let out = arguments.out.clone().unwrap_or_else(|| session.folder().join("observations.rigel"));
+    let map = build(&session, &out, &observation::Options { texels: arguments.texels }, &Bar::new("observing"))?;
+    let header = map.header();
+    if header.views.iter().any(|view| view.gain != 1.0) {
+        let gains: Vec<String> = header.views.iter().map(|view| format!("{} {:.3}", view.name, view.gain)).collect();
+        println!("note: exposure times are unknown; gains: {}", gains.join(", "));
+    }
+    println!(
+        "wrote {}: {}x{} texels, {} views, {:.1} MB",
+        out.display(),
+        header.texels.columns,
+        header.texels.rows,
+        header.views.len(),
+        header.file_bytes() as f64 / 1e6
+    );
+    Ok(())
+}
