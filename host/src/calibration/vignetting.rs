@@ -36,13 +36,21 @@ impl Vignetting {
     /// (residual above 5 %).
     pub fn fit(flats: &[Picture], response: &Response, noise: &NoiseModel) -> Result<Self> {
         let Some(first) = flats.first() else {
-            return Err(Error::request("no flat fields", "photograph an evenly lit sheet, or go on without vignetting"));
+            return Err(Error::request(
+                "no flat fields",
+                "photograph an evenly lit sheet, or go on without vignetting",
+            ));
         };
         let mut squares = Vec::new();
         for (index, flat) in flats.iter().enumerate() {
             if (flat.width, flat.height, flat.white) != (first.width, first.height, response.white()) {
-                let what = format!("the flat field is {}x{} with levels to {}", flat.width, flat.height, flat.white);
-                return Err(Error::input(&flat.path, what, "take it with the settings of the other photographs"));
+                let what =
+                    format!("the flat field is {}x{} with levels to {}", flat.width, flat.height, flat.white);
+                return Err(Error::input(
+                    &flat.path,
+                    what,
+                    "take it with the settings of the other photographs",
+                ));
             }
             let before = squares.len();
             gather(flat, index, response, noise, &mut squares);
@@ -54,7 +62,10 @@ impl Vignetting {
         }
         let fitted = fit(&squares, flats.len(), first);
         if fitted.residual > 0.05 {
-            let what = format!("the flat fields differ by {:.1} % from a fall-off about a centre", 100.0 * fitted.residual);
+            let what = format!(
+                "the flat fields differ by {:.1} % from a fall-off about a centre",
+                100.0 * fitted.residual
+            );
             return Err(Error::input(&first.path, what, "photograph an even surface without shadows"));
         }
         Ok(fitted)
@@ -111,7 +122,9 @@ fn gather(flat: &Picture, index: usize, response: &Response, noise: &NoiseModel,
                 for i in 0..SQUARE * SQUARE {
                     let pixel = (row * SQUARE + i / SQUARE) * width + column * SQUARE + i % SQUARE;
                     let level = flat.levels[pixel][channel];
-                    sum = sum.filter(|_| valid.contains(&level)).map(|s| s + f64::from(table[usize::from(level)]));
+                    sum = sum
+                        .filter(|_| valid.contains(&level))
+                        .map(|s| s + f64::from(table[usize::from(level)]));
                 }
                 if let Some(sum) = sum {
                     let middle = (SQUARE - 1) as f64 / 2.0;
@@ -143,7 +156,8 @@ fn fit(squares: &[Square], flats: usize, picture: &Picture) -> Vignetting {
     let mut gains = vec![0.0; 3 * flats];
     // The first step finds the coefficients; only then does the centre mean anything.
     for _ in 0..12 {
-        let (mut matrix, mut right) = (DMatrix::<f64>::zeros(unknowns, unknowns), DVector::<f64>::zeros(unknowns));
+        let (mut matrix, mut right) =
+            (DMatrix::<f64>::zeros(unknowns, unknowns), DVector::<f64>::zeros(unknowns));
         let mut squared = 0.0;
         for s in squares {
             let (dx, dy) = (s.x - v.centre_x, s.y - v.centre_y);
@@ -181,4 +195,98 @@ fn fit(squares: &[Square], flats: usize, picture: &Picture) -> Vignetting {
         gains.iter_mut().zip(step.iter().skip(5)).for_each(|(gain, s)| *gain += s);
     }
     v
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WIDTH: u32 = 160;
+    const HEIGHT: u32 = 120;
+
+    /// What a lens with this fall-off writes of an even surface; a little uneven from pixel to pixel, as paper is.
+    fn flat(truth: &Vignetting, white: f64) -> Picture {
+        let response = Response::srgb(255);
+        let levels = (0..WIDTH * HEIGHT).map(|i| {
+            let x = white
+                * truth.at(f64::from(i % WIDTH), f64::from(i / WIDTH))
+                * (1.0 + 0.02 * f64::from(i % 7 % 3));
+            [0, 1, 2].map(|c| response.exposure(c).partition_point(|&entry| f64::from(entry) < x) as u16)
+        });
+        Picture {
+            path: "flat.jpg".into(),
+            width: WIDTH,
+            height: HEIGHT,
+            levels: levels.collect(),
+            white: 255,
+        }
+    }
+
+    fn truth() -> Vignetting {
+        Vignetting {
+            width: WIDTH,
+            height: HEIGHT,
+            centre_x: 84.0,
+            centre_y: 57.0,
+            coefficients: [-0.4, -0.15, 0.02],
+            residual: 0.0,
+        }
+    }
+
+    fn fitted(flats: &[Picture]) -> Result<Vignetting> {
+        let response = Response::srgb(255);
+        Vignetting::fit(flats, &response, &NoiseModel::assumed(&response))
+    }
+
+    #[test]
+    fn a_known_fall_off_is_found_from_flats_of_unlike_exposure() {
+        let found = fitted(&[flat(&truth(), 2.0), flat(&truth(), 1.1)]).unwrap();
+        assert!(found.residual < 0.01);
+        assert!((found.centre_x - 84.0).abs() < 1.0 && (found.centre_y - 57.0).abs() < 1.0, "{found:?}");
+        for (x, y) in [(0.0, 0.0), (159.0, 0.0), (80.0, 60.0), (10.0, 110.0), (84.0, 57.0)] {
+            assert!((found.at(x, y) / truth().at(x, y) - 1.0).abs() < 0.01, "({x}, {y})");
+        }
+    }
+
+    #[test]
+    fn an_even_picture_has_no_fall_off() {
+        let even = Vignetting { coefficients: [0.0; 3], ..truth() };
+        let found = fitted(&[flat(&even, 1.5)]).unwrap();
+        assert!((found.at(0.0, 0.0) - 1.0).abs() < 0.005);
+    }
+
+    #[test]
+    fn correcting_a_view_makes_an_even_surface_even() {
+        let pixels: Vec<[f32; 3]> = (0..WIDTH * HEIGHT)
+            .map(|i| [truth().at(f64::from(i % WIDTH), f64::from(i / WIDTH)) as f32; 3])
+            .collect();
+        let variance = pixels.iter().map(|p| p.map(|r| r * r)).collect();
+        let mask = vec![0; pixels.len()];
+        let mut image = RadianceImage { width: WIDTH, height: HEIGHT, radiance: pixels, variance, mask };
+        truth().correct(&mut image).unwrap();
+        let close = |value: &f32| (value - 1.0).abs() < 1e-5;
+        assert!(image.radiance.iter().flatten().all(close) && image.variance.iter().flatten().all(close));
+        image.width = 80;
+        assert!(truth().correct(&mut image).unwrap_err().to_string().contains("160x120"));
+    }
+
+    #[test]
+    fn what_is_no_flat_field_is_refused() {
+        assert!(fitted(&[]).is_err());
+        let mut shadow = flat(&truth(), 1.5);
+        shadow.levels[..8000].iter_mut().flatten().for_each(|level| *level /= 2);
+        assert!(fitted(&[shadow]).unwrap_err().to_string().contains("differ by"));
+        assert!(
+            fitted(&[flat(&truth(), 1.5), flat(&truth(), 100.0)])
+                .unwrap_err()
+                .to_string()
+                .contains("saturated")
+        );
+    }
+
+    #[test]
+    fn a_saved_fall_off_reads_back() {
+        let text = toml::to_string(&truth()).unwrap();
+        assert_eq!(toml::from_str::<Vignetting>(&text).unwrap(), truth());
+    }
 }

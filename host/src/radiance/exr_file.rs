@@ -85,7 +85,11 @@ impl RadianceImage {
             let mut pixels = vec![[0.0; 3]; layer.size.area()];
             for (c, name) in names.into_iter().enumerate() {
                 let FlatSamples::F32(plane) = samples(name)? else {
-                    return Err(Error::input(path, format!("the channel {name} is not 32-bit float"), remedy));
+                    return Err(Error::input(
+                        path,
+                        format!("the channel {name} is not 32-bit float"),
+                        remedy,
+                    ));
                 };
                 pixels.iter_mut().zip(plane).for_each(|(pixel, &value)| pixel[c] = value);
             }

@@ -85,7 +85,10 @@ impl Stack {
     /// whose time is not a positive number, or whose size or depth differs from the first one's.
     pub fn new(pictures: Vec<Picture>, exposure_s: Vec<f64>) -> Result<Self> {
         let Some(first) = pictures.first() else {
-            return Err(Error::request("a stack without photographs", "give at least one photograph per view"));
+            return Err(Error::request(
+                "a stack without photographs",
+                "give at least one photograph per view",
+            ));
         };
         if pictures.len() != exposure_s.len() {
             return Err(Error::request(
@@ -180,7 +183,8 @@ mod tests {
             assert_eq!(picture.levels[12 * 40 + 7], [7, 12, 84]);
         }
         let path = folder.path().join("deep.png");
-        let deep = ::image::ImageBuffer::from_fn(3, 2, |x, _| ::image::Rgb([x as u16 * 20000, 513u16, 65535]));
+        let deep =
+            ::image::ImageBuffer::from_fn(3, 2, |x, _| ::image::Rgb([x as u16 * 20000, 513u16, 65535]));
         DynamicImage::ImageRgb16(deep).save(&path).unwrap();
         let picture = Picture::read(&path).unwrap();
         assert_eq!((picture.white, picture.levels[2]), (65535, [40000, 513, 65535]));

@@ -83,7 +83,8 @@ impl Response {
     /// [`Error::Io`], or [`Error::Input`] naming the line that breaks the order of levels or is negative, not finite or
     /// less than the line before.
     pub fn read_csv(path: &Path) -> Result<Self> {
-        let remedy = "recover the response again, or give the columns level,R,G,B with a line per level from 0";
+        let remedy =
+            "recover the response again, or give the columns level,R,G,B with a line per level from 0";
         let text = std::fs::read_to_string(path).map_err(Error::io("read", path))?;
         let mut reader = csv::Reader::from_reader(text.as_bytes());
         let mut exposure = [const { Vec::new() }; 3];
@@ -104,7 +105,8 @@ impl Response {
             }
         }
         let levels = exposure[0].len();
-        let known = [255, u16::MAX, Picture::FLOAT_WHITE].iter().any(|&white| usize::from(white) + 1 == levels);
+        let known =
+            [255, u16::MAX, Picture::FLOAT_WHITE].iter().any(|&white| usize::from(white) + 1 == levels);
         if !known {
             return Err(Error::input(path, format!("it has {levels} levels, not 256 or 65536"), remedy));
         }
@@ -147,7 +149,10 @@ mod tests {
         for text in broken {
             std::fs::write(&path, text).unwrap();
             let message = Response::read_csv(&path).unwrap_err().to_string();
-            assert!(message.contains("response.csv") && message.contains("recover the response"), "{message}");
+            assert!(
+                message.contains("response.csv") && message.contains("recover the response"),
+                "{message}"
+            );
         }
     }
 

@@ -50,7 +50,14 @@ pub fn scene(width: usize, height: usize, seed: u64) -> Vec<[f64; 3]> {
 }
 
 /// Photographs a scene; `noise` scales the sensor's noise.
-pub fn shoot(radiance: &[[f64; 3]], width: usize, times: &[f64], curve: Curve, noise: f64, seed: u64) -> Stack {
+pub fn shoot(
+    radiance: &[[f64; 3]],
+    width: usize,
+    times: &[f64],
+    curve: Curve,
+    noise: f64,
+    seed: u64,
+) -> Stack {
     let mut random = StdRng::seed_from_u64(seed);
     let fine: Vec<f64> = (0..=65536).map(|i| 255.0 * curve(f64::from(i) / 65536.0)).collect();
     let pictures = times.iter().map(|time_s| {
