@@ -38,13 +38,38 @@ pub fn merge(stack: &Stack, response: &Response, noise: &NoiseModel) -> Result<R
     rows.zip(image.mask.par_chunks_mut(width)).enumerate().for_each(|(y, ((radiance, variance), mask))| {
         let levels: Vec<&[[u16; 3]]> =
             stack.pictures.iter().map(|p| &p.levels[y * width..(y + 1) * width]).collect();
+        let mut exposures = vec![[0.0; 3]; levels.len()];
         for x in 0..width {
-            for (channel, table) in tables.iter().enumerate() {
-                let level = |j: usize| levels[j][x][channel];
-                let (value, spread, flags) = table.merge(&times, level);
-                radiance[x][channel] = value;
-                variance[x][channel] = spread;
-                mask[x] |= flags;
+            // All photographs and channels of a pixel in one sweep: three sums at a time keep the processor busy.
+            let (mut sum, mut weight) = ([0.0; 3], [0.0; 3]);
+            for ((row, exposure), &time_s) in levels.iter().zip(&mut exposures).zip(&times) {
+                for channel in 0..3 {
+                    let (value, inverse) = tables[channel].levels[usize::from(row[x][channel])];
+                    exposure[channel] = if inverse > 0.0 { value } else { NOT_MEASURED };
+                    sum[channel] += time_s * inverse * value;
+                    weight[channel] += time_s * time_s * inverse;
+                }
+            }
+            let first = [0, 1, 2].map(|c| if weight[c] > 0.0 { sum[c] / weight[c] } else { 0.0 });
+            let (mut again, mut expected) = ([0.0; 3], [0.0; 3]);
+            for (exposure, &time_s) in exposures.iter().zip(&times) {
+                for channel in 0..3 {
+                    let inverse = tables[channel].inverse_variance_at(first[channel] * time_s);
+                    let inverse = if exposure[channel] >= 0.0 { inverse } else { 0.0 };
+                    again[channel] += time_s * inverse * exposure[channel];
+                    expected[channel] += time_s * time_s * inverse;
+                }
+            }
+            for channel in 0..3 {
+                (radiance[x][channel], variance[x][channel]) = if expected[channel] > 0.0 {
+                    (again[channel] / expected[channel], 1.0 / expected[channel])
+                } else if weight[channel] > 0.0 {
+                    (first[channel], 1.0 / weight[channel])
+                } else {
+                    let (bound, flags) = tables[channel].bound(&times, |j| levels[j][x][channel]);
+                    mask[x] |= flags;
+                    (bound, f32::INFINITY)
+                };
             }
         }
     });
@@ -65,6 +90,8 @@ struct Tables {
 
 /// The topmost bits of a positive float count its logarithm, near enough.
 const SHIFT: u32 = 18;
+/// Stands for the exposure of a level that is too dark or saturated.
+const NOT_MEASURED: f32 = -1.0;
 
 impl Tables {
     fn new(response: &Response, noise: &NoiseModel, channel: usize) -> Self {
@@ -95,36 +122,14 @@ impl Tables {
         }
     }
 
-    /// Radiance, variance and flags from the levels of a pixel; `times` in seconds.
     #[inline]
-    fn merge(&self, times: &[f32], level: impl Fn(usize) -> u16) -> (f32, f32, Mask) {
-        let (mut sum, mut weights) = (0.0, 0.0);
-        for (j, &time_s) in times.iter().enumerate() {
-            let (x, inverse) = self.levels[usize::from(level(j))];
-            sum += time_s * inverse * x;
-            weights += time_s * time_s * inverse;
-        }
-        if weights == 0.0 {
-            return self.bound(times, level);
-        }
-        let first = sum / weights;
-        let (mut sum, mut expected_weights) = (0.0, 0.0);
-        for (j, &time_s) in times.iter().enumerate() {
-            let z = level(j);
-            if z > self.dark_level && z < self.saturated_level {
-                let inverse = self.expected[((first * time_s).to_bits() >> SHIFT) as usize];
-                sum += time_s * inverse * self.levels[usize::from(z)].0;
-                expected_weights += time_s * time_s * inverse;
-            }
-        }
-        if expected_weights > 0.0 {
-            return (sum / expected_weights, 1.0 / expected_weights, 0);
-        }
-        (first, 1.0 / weights, 0)
+    fn inverse_variance_at(&self, exposure: f32) -> f32 {
+        self.expected[(exposure.to_bits() >> SHIFT) as usize]
     }
 
+    /// The bound on the radiance of a channel that no photograph measured, and why.
     #[cold]
-    fn bound(&self, times: &[f32], level: impl Fn(usize) -> u16) -> (f32, f32, Mask) {
+    fn bound(&self, times: &[f32], level: impl Fn(usize) -> u16) -> (f32, Mask) {
         let (mut lower, mut upper) = (0.0f32, f32::INFINITY);
         for (j, &time_s) in times.iter().enumerate() {
             if level(j) >= self.saturated_level {
@@ -140,7 +145,7 @@ impl Tables {
         if upper < f32::INFINITY {
             flags |= RadianceImage::DARK;
         }
-        (if lower > 0.0 { lower } else { upper }, f32::INFINITY, flags)
+        (if lower > 0.0 { lower } else { upper }, flags)
     }
 }
 
