@@ -56,7 +56,7 @@ fn the_memorial_church_explains_its_photographs() {
     let Some(folder) = data("hdr/memorial") else { return };
     let stack = memorial(&folder);
     let mut samples = Samples::default();
-    samples.add(&stack);
+    samples.add(&stack).unwrap();
     let response = samples.response().unwrap();
     let noise = samples.noise(&response);
     println!("{noise:?}");
@@ -142,7 +142,7 @@ fn the_patchwork_camera_is_recovered_from_its_photographs() {
     // Every sixth view is enough, and quicker to read; STEP=1 takes them all.
     let step = std::env::var("STEP").map_or(6, |step| step.parse().unwrap());
     for view in views.values().step_by(step) {
-        samples.add(&load(&folder, view));
+        samples.add(&load(&folder, view)).unwrap();
     }
     let response = samples.response().unwrap();
     let noise = samples.noise(&response);

@@ -157,7 +157,7 @@ mod tests {
 
     fn learnt(stack: &Stack) -> (Response, NoiseModel) {
         let mut samples = Samples::default();
-        samples.add(stack);
+        samples.add(stack).unwrap();
         let response = samples.response().unwrap();
         let noise = samples.noise(&response);
         (response, noise)
@@ -193,14 +193,14 @@ mod tests {
             let response = known(curve);
             let unit = simulated::truth(curve, 128);
             let mut samples = Samples::default();
-            samples.add(&stack);
+            samples.add(&stack).unwrap();
             let merged = merge(&stack, &response, &samples.noise(&response)).unwrap();
             let mut scores = Vec::new();
-            for i in 0..scene.len() {
-                for c in 0..3 {
+            for (i, truth) in scene.iter().enumerate() {
+                for (c, truth) in truth.iter().enumerate() {
                     // Where the true level is far from both ends, so that nothing is selected by its noise.
-                    if (0.01..0.5).contains(&(scene[i][c] * times[0])) {
-                        let error = f64::from(merged.radiance[i][c]) - scene[i][c] / unit;
+                    if (0.01..0.5).contains(&(truth * times[0])) {
+                        let error = f64::from(merged.radiance[i][c]) - truth / unit;
                         scores.push(error / f64::from(merged.variance[i][c]).sqrt());
                     }
                 }

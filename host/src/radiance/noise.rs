@@ -216,7 +216,9 @@ mod tests {
             let mut samples = Samples::default();
             for view in 0..3 {
                 let scene = simulated::scene(256, 192, view);
-                samples.add(&simulated::shoot(&scene, 256, &[4.0, 2.0, 1.0, 0.5], curve, scale, view));
+                samples
+                    .add(&simulated::shoot(&scene, 256, &[4.0, 2.0, 1.0, 0.5], curve, scale, view))
+                    .unwrap();
             }
             let noise = samples.noise(&response);
             println!("{noise:?}");
@@ -252,7 +254,7 @@ mod tests {
             }
         }
         let mut samples = Samples::default();
-        samples.add(&stack);
+        samples.add(&stack).unwrap();
         let noise = samples.noise(&samples.response().unwrap());
         assert!(
             noise.saturated_level.iter().all(|&z| (225..=238).contains(&z)),

@@ -245,7 +245,7 @@ mod tests {
         let mut samples = Samples::default();
         for view in 0..views {
             let scene = simulated::scene(192, 144, view);
-            samples.add(&simulated::shoot(&scene, 192, times, curve, noise, 100 + view));
+            samples.add(&simulated::shoot(&scene, 192, times, curve, noise, 100 + view)).unwrap();
         }
         samples.response().unwrap()
     }
@@ -303,7 +303,7 @@ mod tests {
                 picture.white = u16::MAX;
                 picture.levels.iter_mut().flatten().for_each(|level| *level *= 257);
             }
-            samples.add(&stack);
+            samples.add(&stack).unwrap();
         }
         let response = samples.response().unwrap();
         assert_eq!(response.white(), u16::MAX);
@@ -318,12 +318,17 @@ mod tests {
     fn without_a_bracket_there_is_nothing_to_recover() {
         let scene = simulated::scene(64, 48, 1);
         let mut samples = Samples::default();
-        samples.add(&simulated::shoot(&scene, 64, &[1.0], CURVES[0].1, 1.0, 1));
-        samples.add(&simulated::shoot(&scene, 64, &[1.0, 1.0], CURVES[0].1, 1.0, 1));
+        samples.add(&simulated::shoot(&scene, 64, &[1.0], CURVES[0].1, 1.0, 1)).unwrap();
+        samples.add(&simulated::shoot(&scene, 64, &[1.0, 1.0], CURVES[0].1, 1.0, 1)).unwrap();
         let message = samples.response().unwrap_err().to_string();
         assert!(message.contains("two different exposure times") && message.contains("srgb"), "{message}");
         // A bracket of nothing but black tells nothing either.
-        samples.add(&simulated::shoot(&vec![[0.0; 3]; 64 * 48], 64, &[1.0, 2.0], CURVES[0].1, 0.0, 1));
+        samples
+            .add(&simulated::shoot(&vec![[0.0; 3]; 64 * 48], 64, &[1.0, 2.0], CURVES[0].1, 0.0, 1))
+            .unwrap();
         assert!(samples.response().unwrap_err().to_string().contains("well exposed"));
+        let mut deep = simulated::shoot(&scene, 64, &[1.0, 2.0], CURVES[0].1, 1.0, 1);
+        deep.pictures.iter_mut().for_each(|picture| picture.white = u16::MAX);
+        assert!(samples.add(&deep).unwrap_err().to_string().contains("65535"));
     }
 }
