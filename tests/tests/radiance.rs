@@ -1,5 +1,7 @@
 //! Real photographs to radiance, against the values that others found.
 
+#![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
+
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -19,32 +21,75 @@ fn memorial(folder: &Path) -> Stack {
     Stack::new(pictures, lines.iter().map(|(_, time_s)| *time_s).collect()).unwrap()
 }
 
+/// A Radiance picture whose first line is `#?RGBE`, as the authors' own is.
+fn reference(path: &Path) -> image::Rgb32FImage {
+    let file = std::io::BufReader::new(std::fs::File::open(path).unwrap());
+    let decoder = image::codecs::hdr::HdrDecoder::new_nonstrict(file).unwrap();
+    image::DynamicImage::from_decoder(decoder).unwrap().to_rgb32f()
+}
+
+/// How far a radiance map contradicts the photographs it stands for, whatever the response: where a photograph shows
+/// one level, radiance x time must be one value. Per photograph, the median of log2(radiance x time) over green levels
+/// 90 to 110, less the median over all photographs; in stops.
+fn contradiction(stack: &Stack, radiance: &[[f32; 3]]) -> Vec<f64> {
+    let medians: Vec<f64> = stack
+        .pictures
+        .iter()
+        .zip(&stack.exposure_s)
+        .map(|(picture, time_s)| {
+            let shown =
+                picture.levels.iter().zip(radiance).filter(|(level, _)| (90..=110).contains(&level[1]));
+            median(shown.map(|(_, r)| (f64::from(r[1]) * time_s).log2()).collect())
+        })
+        .collect();
+    let middle = median(medians.clone());
+    medians.iter().map(|m| m - middle).collect()
+}
+
+/// The map that the authors published agrees in the middle of its range only. Neighbouring photographs are one stop
+/// apart by the list of times, and level 100 in one is level 68 to 70 in the next throughout, yet the map puts their
+/// pixels two thirds of a stop apart: five stops are missing between the longest and the shortest. (Hat weights count
+/// levels that are the film's fog, 19 and 20 in eleven photographs of a dark pixel, and draw dark pixels up.) So the
+/// photographs themselves are the judge here, and the published map where it is consistent with them.
 #[test]
-fn the_memorial_church_agrees_with_its_authors_radiance_map() {
+fn the_memorial_church_explains_its_photographs() {
     let Some(folder) = data("hdr/memorial") else { return };
     let stack = memorial(&folder);
     let mut samples = Samples::default();
-    samples.add(&stack);
+    samples.add(&stack).unwrap();
     let response = samples.response().unwrap();
     let noise = samples.noise(&response);
     println!("{noise:?}");
     let merged = merge(&stack, &response, &noise).unwrap();
-    let reference = image::open(folder.join("memorial_debevec_reference.hdr")).unwrap().to_rgb32f();
+    let reference = reference(&folder.join("memorial_debevec_reference.hdr"));
     assert_eq!((merged.width, merged.height), reference.dimensions());
-    let luminance = |c: [f32; 3]| 0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2];
-    let stops: Vec<f32> = merged
+    let reference: Vec<[f32; 3]> = reference.pixels().map(|p| p.0).collect();
+
+    let (ours, theirs) = (contradiction(&stack, &merged.radiance), contradiction(&stack, &reference));
+    println!("memorial: ours contradicts the photographs by {ours:.2?} stops");
+    println!("memorial: the published map by {theirs:.2?} stops");
+    assert!(ours.iter().all(|m| m.abs() < 0.3), "{ours:?}");
+
+    let luminance = |c: [f32; 3]| f64::from(0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2]);
+    let pairs: Vec<(f64, f64)> = merged
         .radiance
         .iter()
-        .zip(reference.pixels())
-        .map(|(ours, theirs)| (luminance(*ours) / luminance(theirs.0)).log2())
+        .zip(&reference)
+        .filter(|(_, theirs)| theirs[1] > 0.0)
+        .map(|(ours, theirs)| ((luminance(*ours) / luminance(*theirs)).log2(), luminance(*theirs)))
         .collect();
-    let mut sorted = stops.clone();
-    sorted.sort_by(f32::total_cmp);
-    let median = sorted[sorted.len() / 2];
-    let within = stops.iter().filter(|s| (*s - median).abs() <= 0.25).count() as f64 / stops.len() as f64;
-    let masked = merged.mask.iter().filter(|&&m| m != 0).count();
-    println!("memorial: {:.2} % within a quarter stop, {masked} pixels flagged", 100.0 * within);
-    assert!(within >= 0.96, "{within}");
+    let middle = median(pairs.iter().map(|p| p.0).collect());
+    let share = |range: std::ops::Range<f64>| {
+        let chosen: Vec<_> = pairs.iter().filter(|p| range.contains(&p.1)).collect();
+        chosen.iter().filter(|p| (p.0 - middle).abs() <= 0.25).count() as f64 / chosen.len() as f64
+    };
+    let (all, consistent) = (share(0.0..1e9), share(1.0 / 16.0..0.25));
+    println!(
+        "memorial: within a quarter stop of the published map: {:.1} % of all pixels, {:.1} % of its middle two stops",
+        100.0 * all,
+        100.0 * consistent
+    );
+    assert!(consistent >= 0.96, "{consistent}");
 }
 
 /// The views of the patchwork capture: file names with their times.
@@ -94,9 +139,10 @@ fn the_patchwork_camera_is_recovered_from_its_photographs() {
     let Some(folder) = data("multiview/patchwork") else { return };
     let views = patchwork(&folder);
     let mut samples = Samples::default();
-    // Every sixth view: all of them give the same within a tenth of a per cent and take six times as long.
-    for view in views.values().step_by(6) {
-        samples.add(&load(&folder, view));
+    // Every sixth view is enough, and quicker to read; STEP=1 takes them all.
+    let step = std::env::var("STEP").map_or(6, |step| step.parse().unwrap());
+    for view in views.values().step_by(step) {
+        samples.add(&load(&folder, view)).unwrap();
     }
     let response = samples.response().unwrap();
     let noise = samples.noise(&response);
@@ -113,11 +159,14 @@ fn the_patchwork_camera_is_recovered_from_its_photographs() {
             "patchwork: channel {channel}: response within {:.2} % (median over levels 20 to 235)",
             100.0 * error
         );
+<<<<<<< HEAD
         if std::env::var_os("CURVE").is_some() {
             for z in (5..256).step_by(10) {
                 println!("{z} {:.4}", f64::from(response.exposure(channel)[z]) / truth[z] / scale);
             }
         }
+=======
+>>>>>>> radiance
         assert!(error <= 0.02, "channel {channel}: {error}");
     }
 
@@ -129,7 +178,9 @@ fn the_patchwork_camera_is_recovered_from_its_photographs() {
     assert!((0.5..0.7).contains(&vignetting.at(0.0, 0.0)));
 
     let stack = load(&folder, &views[&0]);
+    let start = std::time::Instant::now();
     let mut merged = merge(&stack, &response, &noise).unwrap();
+    println!("view 0: merged in {:?}", start.elapsed());
     vignetting.correct(&mut merged).unwrap();
     for ((radiance, variance), mask) in merged.radiance.iter().zip(&merged.variance).zip(&merged.mask) {
         assert!(radiance.iter().all(|r| r.is_finite() && *r >= 0.0));
@@ -137,4 +188,35 @@ fn the_patchwork_camera_is_recovered_from_its_photographs() {
     }
     let saturated = merged.mask.iter().filter(|&&m| m & RadianceImage::SATURATED != 0).count();
     println!("view 0: {saturated} pixels saturated in all of {} photographs", stack.pictures.len());
+
+    // Photographs that share nothing must agree within the variance that each merge states.
+    let half = |keep: usize| {
+        let (pictures, times) = stack
+            .pictures
+            .iter()
+            .cloned()
+            .zip(stack.exposure_s.iter().copied())
+            .enumerate()
+            .filter(|(i, _)| i % 2 == keep)
+            .map(|(_, pair)| pair)
+            .unzip();
+        merge(&Stack::new(pictures, times).unwrap(), &response, &noise).unwrap()
+    };
+    let (even, odd) = (half(0), half(1));
+    for channel in 0..3 {
+        let mut scores: Vec<f64> = (0..even.radiance.len())
+            .filter(|&i| even.mask[i] == 0 && odd.mask[i] == 0)
+            .map(|i| {
+                let difference = f64::from(even.radiance[i][channel] - odd.radiance[i][channel]);
+                difference.abs() / f64::from(even.variance[i][channel] + odd.variance[i][channel]).sqrt()
+            })
+            .collect();
+        scores.sort_by(f64::total_cmp);
+        let [one_sigma, two_sigma] = [0.683, 0.954].map(|q| scores[(scores.len() as f64 * q) as usize]);
+        println!(
+            "view 0: channel {channel}: even against odd photographs: 68 % within {one_sigma:.2} sigma, 95 % within {two_sigma:.2}"
+        );
+        // JPEG smooths even areas and disturbs busy ones, so the middle of the distribution is narrower than a normal's.
+        assert!((1.0..2.6).contains(&two_sigma), "channel {channel}: {two_sigma}");
+    }
 }

@@ -196,3 +196,97 @@ fn fit(squares: &[Square], flats: usize, picture: &Picture) -> Vignetting {
     }
     v
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WIDTH: u32 = 160;
+    const HEIGHT: u32 = 120;
+
+    /// What a lens with this fall-off writes of an even surface; a little uneven from pixel to pixel, as paper is.
+    fn flat(truth: &Vignetting, white: f64) -> Picture {
+        let response = Response::srgb(255);
+        let levels = (0..WIDTH * HEIGHT).map(|i| {
+            let x = white
+                * truth.at(f64::from(i % WIDTH), f64::from(i / WIDTH))
+                * (1.0 + 0.02 * f64::from(i % 7 % 3));
+            [0, 1, 2].map(|c| response.exposure(c).partition_point(|&entry| f64::from(entry) < x) as u16)
+        });
+        Picture {
+            path: "flat.jpg".into(),
+            width: WIDTH,
+            height: HEIGHT,
+            levels: levels.collect(),
+            white: 255,
+        }
+    }
+
+    fn truth() -> Vignetting {
+        Vignetting {
+            width: WIDTH,
+            height: HEIGHT,
+            centre_x: 84.0,
+            centre_y: 57.0,
+            coefficients: [-0.4, -0.15, 0.02],
+            residual: 0.0,
+        }
+    }
+
+    fn fitted(flats: &[Picture]) -> Result<Vignetting> {
+        let response = Response::srgb(255);
+        Vignetting::fit(flats, &response, &NoiseModel::assumed(&response))
+    }
+
+    #[test]
+    fn a_known_fall_off_is_found_from_flats_of_unlike_exposure() {
+        let found = fitted(&[flat(&truth(), 2.0), flat(&truth(), 1.1)]).unwrap();
+        assert!(found.residual < 0.01);
+        assert!((found.centre_x - 84.0).abs() < 1.0 && (found.centre_y - 57.0).abs() < 1.0, "{found:?}");
+        for (x, y) in [(0.0, 0.0), (159.0, 0.0), (80.0, 60.0), (10.0, 110.0), (84.0, 57.0)] {
+            assert!((found.at(x, y) / truth().at(x, y) - 1.0).abs() < 0.01, "({x}, {y})");
+        }
+    }
+
+    #[test]
+    fn an_even_picture_has_no_fall_off() {
+        let even = Vignetting { coefficients: [0.0; 3], ..truth() };
+        let found = fitted(&[flat(&even, 1.5)]).unwrap();
+        assert!((found.at(0.0, 0.0) - 1.0).abs() < 0.005);
+    }
+
+    #[test]
+    fn correcting_a_view_makes_an_even_surface_even() {
+        let pixels: Vec<[f32; 3]> = (0..WIDTH * HEIGHT)
+            .map(|i| [truth().at(f64::from(i % WIDTH), f64::from(i / WIDTH)) as f32; 3])
+            .collect();
+        let variance = pixels.iter().map(|p| p.map(|r| r * r)).collect();
+        let mask = vec![0; pixels.len()];
+        let mut image = RadianceImage { width: WIDTH, height: HEIGHT, radiance: pixels, variance, mask };
+        truth().correct(&mut image).unwrap();
+        let close = |value: &f32| (value - 1.0).abs() < 1e-5;
+        assert!(image.radiance.iter().flatten().all(close) && image.variance.iter().flatten().all(close));
+        image.width = 80;
+        assert!(truth().correct(&mut image).unwrap_err().to_string().contains("160x120"));
+    }
+
+    #[test]
+    fn what_is_no_flat_field_is_refused() {
+        assert!(fitted(&[]).is_err());
+        let mut shadow = flat(&truth(), 1.5);
+        shadow.levels[..8000].iter_mut().flatten().for_each(|level| *level /= 2);
+        assert!(fitted(&[shadow]).unwrap_err().to_string().contains("differ by"));
+        assert!(
+            fitted(&[flat(&truth(), 1.5), flat(&truth(), 100.0)])
+                .unwrap_err()
+                .to_string()
+                .contains("saturated")
+        );
+    }
+
+    #[test]
+    fn a_saved_fall_off_reads_back() {
+        let text = toml::to_string(&truth()).unwrap();
+        assert_eq!(toml::from_str::<Vignetting>(&text).unwrap(), truth());
+    }
+}

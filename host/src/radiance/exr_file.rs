@@ -32,8 +32,8 @@ impl RadianceImage {
         let mask = FlatSamples::U32(self.mask.iter().map(|&m| u32::from(m)).collect());
         channels.push(AnyChannel::new("mask", mask));
 
-        let mut attributes = LayerAttributes::default();
-        attributes.software_name = Some(concat!("rigel ", env!("CARGO_PKG_VERSION")).into());
+        let software_name = Some(concat!("rigel ", env!("CARGO_PKG_VERSION")).into());
+        let mut attributes = LayerAttributes { software_name, ..Default::default() };
         let unit = "what reaches the middle level of the response in one second; variance in its square";
         for (name, value) in [
             (KIND, AttributeValue::I32(VERSION)),

@@ -38,13 +38,38 @@ pub fn merge(stack: &Stack, response: &Response, noise: &NoiseModel) -> Result<R
     rows.zip(image.mask.par_chunks_mut(width)).enumerate().for_each(|(y, ((radiance, variance), mask))| {
         let levels: Vec<&[[u16; 3]]> =
             stack.pictures.iter().map(|p| &p.levels[y * width..(y + 1) * width]).collect();
+        let mut exposures = vec![[0.0; 3]; levels.len()];
         for x in 0..width {
-            for (channel, table) in tables.iter().enumerate() {
-                let level = |j: usize| levels[j][x][channel];
-                let (value, spread, flags) = table.merge(&times, level);
-                radiance[x][channel] = value;
-                variance[x][channel] = spread;
-                mask[x] |= flags;
+            // All photographs and channels of a pixel in one sweep: three sums at a time keep the processor busy.
+            let (mut sum, mut weight) = ([0.0; 3], [0.0; 3]);
+            for ((row, exposure), &time_s) in levels.iter().zip(&mut exposures).zip(&times) {
+                for channel in 0..3 {
+                    let (value, inverse) = tables[channel].levels[usize::from(row[x][channel])];
+                    exposure[channel] = if inverse > 0.0 { value } else { NOT_MEASURED };
+                    sum[channel] += time_s * inverse * value;
+                    weight[channel] += time_s * time_s * inverse;
+                }
+            }
+            let first = [0, 1, 2].map(|c| if weight[c] > 0.0 { sum[c] / weight[c] } else { 0.0 });
+            let (mut again, mut expected) = ([0.0; 3], [0.0; 3]);
+            for (exposure, &time_s) in exposures.iter().zip(&times) {
+                for channel in 0..3 {
+                    let inverse = tables[channel].inverse_variance_at(first[channel] * time_s);
+                    let inverse = if exposure[channel] >= 0.0 { inverse } else { 0.0 };
+                    again[channel] += time_s * inverse * exposure[channel];
+                    expected[channel] += time_s * time_s * inverse;
+                }
+            }
+            for channel in 0..3 {
+                (radiance[x][channel], variance[x][channel]) = if expected[channel] > 0.0 {
+                    (again[channel] / expected[channel], 1.0 / expected[channel])
+                } else if weight[channel] > 0.0 {
+                    (first[channel], 1.0 / weight[channel])
+                } else {
+                    let (bound, flags) = tables[channel].bound(&times, |j| levels[j][x][channel]);
+                    mask[x] |= flags;
+                    (bound, f32::INFINITY)
+                };
             }
         }
     });
@@ -65,6 +90,8 @@ struct Tables {
 
 /// The topmost bits of a positive float count its logarithm, near enough.
 const SHIFT: u32 = 18;
+/// Stands for the exposure of a level that is too dark or saturated.
+const NOT_MEASURED: f32 = -1.0;
 
 impl Tables {
     fn new(response: &Response, noise: &NoiseModel, channel: usize) -> Self {
@@ -95,36 +122,14 @@ impl Tables {
         }
     }
 
-    /// Radiance, variance and flags from the levels of a pixel; `times` in seconds.
     #[inline]
-    fn merge(&self, times: &[f32], level: impl Fn(usize) -> u16) -> (f32, f32, Mask) {
-        let (mut sum, mut weights) = (0.0, 0.0);
-        for (j, &time_s) in times.iter().enumerate() {
-            let (x, inverse) = self.levels[usize::from(level(j))];
-            sum += time_s * inverse * x;
-            weights += time_s * time_s * inverse;
-        }
-        if weights == 0.0 {
-            return self.bound(times, level);
-        }
-        let first = sum / weights;
-        let (mut sum, mut expected_weights) = (0.0, 0.0);
-        for (j, &time_s) in times.iter().enumerate() {
-            let z = level(j);
-            if z < self.saturated_level {
-                let inverse = self.expected[((first * time_s).to_bits() >> SHIFT) as usize];
-                sum += time_s * inverse * self.levels[usize::from(z)].0;
-                expected_weights += time_s * time_s * inverse;
-            }
-        }
-        if expected_weights > 0.0 {
-            return (sum / expected_weights, 1.0 / expected_weights, 0);
-        }
-        (first, 1.0 / weights, 0)
+    fn inverse_variance_at(&self, exposure: f32) -> f32 {
+        self.expected[(exposure.to_bits() >> SHIFT) as usize]
     }
 
+    /// The bound on the radiance of a channel that no photograph measured, and why.
     #[cold]
-    fn bound(&self, times: &[f32], level: impl Fn(usize) -> u16) -> (f32, f32, Mask) {
+    fn bound(&self, times: &[f32], level: impl Fn(usize) -> u16) -> (f32, Mask) {
         let (mut lower, mut upper) = (0.0f32, f32::INFINITY);
         for (j, &time_s) in times.iter().enumerate() {
             if level(j) >= self.saturated_level {
@@ -140,6 +145,170 @@ impl Tables {
         if upper < f32::INFINITY {
             flags |= RadianceImage::DARK;
         }
-        (if lower > 0.0 { lower } else { upper }, f32::INFINITY, flags)
+        (if lower > 0.0 { lower } else { upper }, flags)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::simulated::{self, CURVES, Curve};
+    use super::super::{Picture, Samples};
+    use super::*;
+
+    fn learnt(stack: &Stack) -> (Response, NoiseModel) {
+        let mut samples = Samples::default();
+        samples.add(stack).unwrap();
+        let response = samples.response().unwrap();
+        let noise = samples.noise(&response);
+        (response, noise)
+    }
+
+    /// The true response of the simulated camera.
+    fn known(curve: Curve) -> Response {
+        let table: Vec<f32> = (0..256).map(|z| simulated::truth(curve, z) as f32).collect();
+        Response::from_tables([table.clone(), table.clone(), table])
+    }
+
+    fn median(mut values: Vec<f64>) -> f64 {
+        values.sort_by(f64::total_cmp);
+        values[values.len() / 2]
+    }
+
+    const SIXTEEN: [f64; 16] = {
+        let mut times = [1.0; 16];
+        let mut i = 0;
+        while i < 16 {
+            times[i] = (1u64 << i) as f64 / 128.0;
+            i += 1;
+        }
+        times
+    };
+
+    #[test]
+    fn radiance_is_unbiased_within_its_stated_variance() {
+        let (_, curve) = CURVES[0];
+        let scene = simulated::scene(256, 192, 1);
+        for times in [&[4.0, 2.0, 1.0, 0.5][..], &[1.0, 0.125]] {
+            let stack = simulated::shoot(&scene, 256, times, curve, 1.0, 2);
+            let response = known(curve);
+            let unit = simulated::truth(curve, 128);
+            let mut samples = Samples::default();
+            samples.add(&stack).unwrap();
+            let merged = merge(&stack, &response, &samples.noise(&response)).unwrap();
+            let mut scores = Vec::new();
+            for (i, truth) in scene.iter().enumerate() {
+                for (c, truth) in truth.iter().enumerate() {
+                    // Where the true level is far from both ends, so that nothing is selected by its noise.
+                    if (0.01..0.5).contains(&(truth * times[0])) {
+                        let error = f64::from(merged.radiance[i][c]) - truth / unit;
+                        scores.push(error / f64::from(merged.variance[i][c]).sqrt());
+                    }
+                }
+            }
+            let mean = scores.iter().sum::<f64>() / scores.len() as f64;
+            let spread = (scores.iter().map(|z| z * z).sum::<f64>() / scores.len() as f64).sqrt();
+            println!("{} exposures: z mean {mean:.3}, spread {spread:.3}, n {}", times.len(), scores.len());
+            assert!(scores.len() > 10_000);
+            assert!(mean.abs() < 0.05, "{mean}");
+            assert!((0.87..1.15).contains(&spread), "{spread}");
+        }
+    }
+
+    #[test]
+    fn the_merge_is_as_good_as_with_the_true_noise() {
+        // The stacks of peers/c_data.py: 16 exposures at one stop, 5 at three. OpenCV reaches 1.15 to 1.3 % and 2.3 to
+        // 5.1 % (median), the true response with the true noise 0.45 % and 0.82 %.
+        let five = [SIXTEEN[1], SIXTEEN[4], SIXTEEN[7], SIXTEEN[10], SIXTEEN[13]];
+        for (name, curve) in &CURVES[..2] {
+            for (times, bar) in [(&SIXTEEN[..], 0.01), (&five[..], 0.02)] {
+                let scene = simulated::scene(256, 192, 11);
+                let stack = simulated::shoot(&scene, 256, times, *curve, 1.0, 12);
+                let (response, noise) = learnt(&stack);
+                let merged = merge(&stack, &response, &noise).unwrap();
+                for c in 0..3 {
+                    let ratio: Vec<f64> = (0..scene.len())
+                        .filter(|&i| merged.mask[i] == 0)
+                        .map(|i| f64::from(merged.radiance[i][c]) / scene[i][c])
+                        .collect();
+                    let scale = median(ratio.clone());
+                    let error = median(ratio.iter().map(|r| (r / scale - 1.0).abs()).collect());
+                    println!("{name}, {} exposures, channel {c}: {:.2} %", times.len(), 100.0 * error);
+                    assert!(error < bar, "{name} {}: {error}", times.len());
+                }
+            }
+        }
+    }
+
+    fn uniform(level: u16, times: &[f64]) -> Stack {
+        let picture =
+            Picture { path: "flat".into(), width: 4, height: 2, levels: vec![[level; 3]; 8], white: 255 };
+        Stack::new(vec![picture; times.len()], times.to_vec()).unwrap()
+    }
+
+    #[test]
+    fn saturation_and_darkness_are_flagged_with_a_bound() {
+        let (_, curve) = CURVES[0];
+        let (response, unit) = (known(curve), simulated::truth(curve, 128));
+        let noise = NoiseModel::assumed(&response);
+        let times = [1.0, 0.25];
+        for radiance in [5.0, 20.0, 1e4] {
+            let stack = simulated::shoot(&[[radiance; 3]; 64], 8, &times, curve, 1.0, 5);
+            let merged = merge(&stack, &response, &noise).unwrap();
+            assert!(merged.mask.iter().all(|&m| m == RadianceImage::SATURATED));
+            assert!(merged.radiance.iter().flatten().all(|&r| f64::from(r) <= radiance / unit && r > 0.0));
+            assert!(merged.variance.iter().flatten().all(|v| v.is_infinite()));
+        }
+        let merged = merge(&uniform(0, &times), &response, &noise).unwrap();
+        assert!(merged.mask.iter().all(|&m| m == RadianceImage::DARK));
+        assert!(merged.variance.iter().flatten().all(|v| v.is_infinite()));
+        // Pure blue, with which alignment tools fill borders, is no measurement in any channel.
+        let mut border = uniform(0, &[1.0]);
+        border.pictures[0].levels = vec![[0, 0, 255]; 8];
+        let merged = merge(&border, &response, &noise).unwrap();
+        assert!(merged.mask.iter().all(|&m| m == RadianceImage::SATURATED | RadianceImage::DARK));
+        let mut both = simulated::shoot(&[[0.2; 3]; 8], 4, &times, curve, 1.0, 5);
+        let without = merge(&both, &response, &noise).unwrap();
+        both.pictures.push(border.pictures[0].clone());
+        both.exposure_s.push(1.0);
+        assert_eq!(merge(&both, &response, &noise).unwrap(), without);
+    }
+
+    #[test]
+    fn a_brighter_level_means_more_radiance_and_twice_the_times_half_of_it() {
+        let response = Response::srgb(255);
+        let noise = NoiseModel::assumed(&response);
+        let value = |level, times: &[f64]| merge(&uniform(level, times), &response, &noise).unwrap();
+        let mut before = 0.0;
+        for level in noise.dark_level[0] + 1..noise.saturated_level[0] {
+            let merged = value(level, &[0.5]);
+            let [r, g, b] = merged.radiance[0];
+            assert!(r > before && r == g && g == b, "level {level}");
+            assert_eq!(merged.mask[0], 0);
+            before = r;
+            let twice = value(level, &[1.0]);
+            assert_eq!(twice.radiance[0][0], r / 2.0);
+            assert_eq!(twice.variance[0][0], merged.variance[0][0] / 4.0);
+        }
+    }
+
+    #[test]
+    fn floating_point_pictures_keep_their_radiance() {
+        let response = Response::linear(Picture::FLOAT_WHITE);
+        let noise = NoiseModel::assumed(&response);
+        let levels: Vec<[u16; 3]> =
+            (0..64).map(|i| [half::f16::from_f32(0.01 * 1.1f32.powi(i)).to_bits(); 3]).collect();
+        let picture =
+            Picture { path: "a.exr".into(), width: 8, height: 8, levels, white: Picture::FLOAT_WHITE };
+        let merged = merge(&Stack::new(vec![picture], vec![2.0]).unwrap(), &response, &noise).unwrap();
+        for i in 0..64 {
+            assert!((merged.radiance[i][1] / (0.005 * 1.1f32.powi(i as i32)) - 1.0).abs() < 1e-3, "{i}");
+        }
+    }
+
+    #[test]
+    fn a_response_of_another_depth_is_refused() {
+        let response = Response::srgb(65535);
+        let noise = NoiseModel::assumed(&response);
+        assert!(matches!(merge(&uniform(9, &[1.0]), &response, &noise), Err(Error::Input { .. })));
     }
 }

@@ -201,3 +201,65 @@ fn saturation(blocks: &[Block], response: &Response, channel: usize, assumed: u1
     let level = (first + 1) * (white + 1) / bins;
     Some((level as u16).min(assumed))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::simulated::{self, CURVES};
+    use super::*;
+
+    #[test]
+    fn the_noise_of_a_simulated_camera_is_found() {
+        let (_, curve) = CURVES[0];
+        let table: Vec<f32> = (0..256).map(|z| simulated::truth(curve, z) as f32).collect();
+        let response = Response::from_tables([table.clone(), table.clone(), table]);
+        for scale in [1.0, 3.0] {
+            let mut samples = Samples::default();
+            for view in 0..3 {
+                let scene = simulated::scene(256, 192, view);
+                samples
+                    .add(&simulated::shoot(&scene, 256, &[4.0, 2.0, 1.0, 0.5], curve, scale, view))
+                    .unwrap();
+            }
+            let noise = samples.noise(&response);
+            println!("{noise:?}");
+            let unit = simulated::truth(curve, 128);
+            for level in [30, 80, 130, 180, 230] {
+                let x = simulated::truth(curve, level);
+                let electrons = x * simulated::WELL;
+                let slope = f64::from(response.slope(1, level)) * unit;
+                let sensor = scale * scale * (electrons + simulated::READ.powi(2)) / electrons.powi(2);
+                let truth = sensor + (slope / x).powi(2) / 12.0;
+                let ratio = noise.relative_variance(&response, 1, level) / truth;
+                assert!((0.75..1.33).contains(&ratio), "noise x{scale}, level {level}: {ratio}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_saved_model_reads_back() {
+        let noise = NoiseModel::assumed(&Response::srgb(255));
+        let text = toml::to_string(&noise).unwrap();
+        assert_eq!(toml::from_str::<NoiseModel>(&text).unwrap(), noise);
+    }
+
+    #[test]
+    fn clipping_below_white_is_noticed() {
+        let (_, curve) = CURVES[0];
+        let scene = simulated::scene(256, 192, 4);
+        let mut stack = simulated::shoot(&scene, 256, &[4.0, 2.0, 1.0, 0.5], curve, 1.0, 4);
+        // A converter that never goes beyond 240, with some ringing.
+        for picture in &mut stack.pictures {
+            for (i, level) in picture.levels.iter_mut().flatten().enumerate() {
+                *level = if *level >= 240 { 238 + (i % 5) as u16 } else { *level };
+            }
+        }
+        let mut samples = Samples::default();
+        samples.add(&stack).unwrap();
+        let noise = samples.noise(&samples.response().unwrap());
+        assert!(
+            noise.saturated_level.iter().all(|&z| (225..=238).contains(&z)),
+            "{:?}",
+            noise.saturated_level
+        );
+    }
+}

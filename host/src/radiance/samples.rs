@@ -1,6 +1,7 @@
 //! The few pixels of every stack from which the response and the noise are learnt.
 
 use super::Stack;
+use crate::{Error, Result};
 
 /// Side of a sampled block, pixels: half of a JPEG block, so that it never lies across the seam of two.
 const SIDE: usize = 4;
@@ -37,14 +38,22 @@ struct Candidate {
 }
 
 impl Samples {
-    /// Takes a few hundred blocks from a stack. A stack whose photographs have another depth than the first stack's is
-    /// passed over, and so is a stack of a single photograph.
-    pub fn add(&mut self, stack: &Stack) {
+    /// Takes a few hundred blocks from a stack; from a stack of a single photograph none, since it tells nothing.
+    ///
+    /// # Errors
+    /// [`Error::Input`] where its photographs have another depth than the first stack's.
+    pub fn add(&mut self, stack: &Stack) -> Result<()> {
         if self.white == 0 {
             self.white = stack.white();
         }
-        if self.white != stack.white() || stack.pictures.len() < 2 {
-            return;
+        if self.white != stack.white() {
+            let what =
+                format!("its levels go to {}, those of the views before to {}", stack.white(), self.white);
+            let remedy = "give the photographs of one camera setting, or recover each setting by itself";
+            return Err(Error::input(&stack.pictures[0].path, what, remedy));
+        }
+        if stack.pictures.len() < 2 {
+            return Ok(());
         }
         let mut order: Vec<usize> = (0..stack.pictures.len()).collect();
         order.sort_by(|&a, &b| stack.exposure_s[b].total_cmp(&stack.exposure_s[a]));
@@ -71,6 +80,7 @@ impl Samples {
                 self.blocks.push(Block { exposure_s: exposure_s.clone(), levels });
             }
         }
+        Ok(())
     }
 }
 
