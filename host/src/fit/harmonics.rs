@@ -37,7 +37,8 @@ static FACTORS: LazyLock<[[(f64, f64); ORDERS]; ORDERS]> = LazyLock::new(|| {
             let (lf, mf) = (l as f64, m as f64);
             let a = ((4.0 * lf * lf - 1.0) / (lf * lf - mf * mf)).sqrt();
             let p = lf - 1.0;
-            factors[l][m] = (a, if l > m + 1 { ((p * p - mf * mf) / (4.0 * p * p - 1.0)).sqrt() } else { 0.0 });
+            factors[l][m] =
+                (a, if l > m + 1 { ((p * p - mf * mf) / (4.0 * p * p - 1.0)).sqrt() } else { 0.0 });
         }
     }
     factors
@@ -129,8 +130,8 @@ pub(super) fn cross_validation(normal: &Normal, penalty: f64) -> Option<f64> {
     let factor = factor(normal, penalty)?;
     let coefficients = factor.solve(&normal.right);
     let freedom = factor.solve(&normal.gram).trace();
-    let residual =
-        normal.energy - 2.0 * coefficients.dot(&normal.right) + coefficients.dot(&(&normal.gram * &coefficients));
+    let residual = normal.energy - 2.0 * coefficients.dot(&normal.right)
+        + coefficients.dot(&(&normal.gram * &coefficients));
     let left = 1.0 - freedom / normal.samples as f64;
     // A residual below rounding error says nothing about the choice.
     let residual = residual.max(1e-12 * normal.energy).max(f64::MIN_POSITIVE);

@@ -11,6 +11,8 @@ mod model;
 mod phong;
 mod select;
 mod small;
+#[cfg(test)]
+mod tests;
 mod voronoi;
 mod weights;
 

@@ -48,7 +48,10 @@ impl Model {
     pub fn parse(name: &str) -> Result<Self> {
         Self::all().into_iter().find(|model| model.name() == name).ok_or_else(|| {
             let names: Vec<_> = Self::all().iter().map(Self::name).collect();
-            Error::request(format!("there is no model called {name:?}"), format!("choose one of {}", names.join(", ")))
+            Error::request(
+                format!("there is no model called {name:?}"),
+                format!("choose one of {}", names.join(", ")),
+            )
         })
     }
 
@@ -112,7 +115,10 @@ impl Model {
                 }
                 names
             }
-            Self::LogQuadratic => ["log.1", "log.x", "log.y", "log.xx", "log.xy", "log.yy"].iter().flat_map(|t| rgb(t)).collect(),
+            Self::LogQuadratic => ["log.1", "log.x", "log.y", "log.xx", "log.xy", "log.yy"]
+                .iter()
+                .flat_map(|t| rgb(t))
+                .collect(),
             Self::Harmonics { order, .. } => (0..i32::from(*order))
                 .flat_map(|l| (-l..=l).map(move |m| format!("l{l}.m{m}")))
                 .flat_map(|name| rgb(&name))
@@ -129,7 +135,9 @@ impl Model {
     pub fn toward(&self, direction: Vec3) -> Toward {
         let mut toward = Toward { model: *self, direction, basis: [0.0; harmonics::MOST] };
         match self {
-            Self::LogQuadratic => toward.basis[..6].copy_from_slice(&super::log_quadratic::terms(direction).map(|t| t as f32)),
+            Self::LogQuadratic => {
+                toward.basis[..6].copy_from_slice(&super::log_quadratic::terms(direction).map(|t| t as f32))
+            }
             Self::Harmonics { order, .. } => {
                 let mut basis = [0.0; harmonics::MOST];
                 harmonics::basis(usize::from(*order), direction.as_dvec3(), &mut basis);

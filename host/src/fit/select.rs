@@ -26,7 +26,11 @@ const PARTS: u32 = 5;
 ///
 /// # Errors
 /// [`Error::Request`] when no model can be fitted to the sample.
-pub fn choose_model(sample: &[TexelObservations], models: &[Model], options: &FitOptions) -> Result<Vec<Candidate>> {
+pub fn choose_model(
+    sample: &[TexelObservations],
+    models: &[Model],
+    options: &FitOptions,
+) -> Result<Vec<Candidate>> {
     let mut ranking = Vec::new();
     for &model in models {
         if let Some(held_out_error) = held_out_error(sample, model, options) {
@@ -44,7 +48,9 @@ pub fn choose_model(sample: &[TexelObservations], models: &[Model], options: &Fi
     // Good enough first, the smallest of them foremost; then the rest by error.
     let good = |c: &Candidate| c.held_out_error <= 1.05 * best;
     ranking.sort_by(|a, b| match (good(a), good(b)) {
-        (true, true) => a.bytes_per_texel.cmp(&b.bytes_per_texel).then(a.held_out_error.total_cmp(&b.held_out_error)),
+        (true, true) => {
+            a.bytes_per_texel.cmp(&b.bytes_per_texel).then(a.held_out_error.total_cmp(&b.held_out_error))
+        }
         (true, false) => std::cmp::Ordering::Less,
         (false, true) => std::cmp::Ordering::Greater,
         (false, false) => a.held_out_error.total_cmp(&b.held_out_error),
@@ -67,7 +73,8 @@ fn held_out_error(sample: &[TexelObservations], model: Model, options: &FitOptio
                 let predicted = model.radiance(&fit.parameters, *direction);
                 for c in 0..3 {
                     let scale = f64::from(measured[c].max(0.0)) + fitter.floor();
-                    sum += (f64::from(predicted[c]) - f64::from(measured[c])).abs() / scale.max(f64::MIN_POSITIVE);
+                    sum += (f64::from(predicted[c]) - f64::from(measured[c])).abs()
+                        / scale.max(f64::MIN_POSITIVE);
                 }
             }
             Some(sum / (3 * held.direction.len()) as f64)

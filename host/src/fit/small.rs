@@ -92,7 +92,10 @@ mod tests {
             let got: f64 = row.iter().zip(solution).map(|(a, b)| a * b).sum();
             assert!((got - want).abs() < 1e-12);
         }
-        assert!(solve(&[[1.0, 1.0], [1.0, 1.0]], &[1.0, 1.0], 2).is_none(), "a singular system has no solution");
+        assert!(
+            solve(&[[1.0, 1.0], [1.0, 1.0]], &[1.0, 1.0], 2).is_none(),
+            "a singular system has no solution"
+        );
     }
 
     #[test]

@@ -14,7 +14,8 @@ pub(super) fn cells_sr(directions: &[DVec3]) -> Vec<f64> {
     let lattice = 8192;
     let mut cells = vec![0.0; directions.len()];
     for point in hemisphere(lattice) {
-        let nearest = directions.iter().enumerate().map(|(i, d)| (i, d.dot(point))).max_by(|a, b| a.1.total_cmp(&b.1));
+        let nearest =
+            directions.iter().enumerate().map(|(i, d)| (i, d.dot(point))).max_by(|a, b| a.1.total_cmp(&b.1));
         if let Some((nearest, _)) = nearest {
             cells[nearest] += 2.0 * PI / lattice as f64;
         }

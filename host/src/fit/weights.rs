@@ -17,15 +17,22 @@ impl Samples {
     /// Observations that are not finite, or whose weight would not be, are left out.
     pub fn of(texel: &TexelObservations, relative_error: f64, floor: f64) -> Self {
         let n = texel.direction.len();
-        let mut samples =
-            Self { directions: Vec::with_capacity(n), radiance: Vec::with_capacity(n), weights: Vec::with_capacity(n) };
+        let mut samples = Self {
+            directions: Vec::with_capacity(n),
+            radiance: Vec::with_capacity(n),
+            weights: Vec::with_capacity(n),
+        };
         for ((direction, radiance), sigma) in texel.direction.iter().zip(&texel.radiance).zip(&texel.sigma) {
             let radiance = radiance.map(f64::from);
             let mean = (radiance[0] + radiance[1] + radiance[2]) / 3.0;
             let model = relative_error * mean;
             let variance = f64::from(*sigma).powi(2) + model * model + floor * floor;
             let weight = variance.max(f64::MIN_POSITIVE).recip();
-            if direction.is_finite() && radiance.iter().all(|l| l.is_finite()) && weight.is_finite() && weight > 0.0 {
+            if direction.is_finite()
+                && radiance.iter().all(|l| l.is_finite())
+                && weight.is_finite()
+                && weight > 0.0
+            {
                 samples.directions.push(direction.as_dvec3());
                 samples.radiance.push(radiance);
                 samples.weights.push(weight);
