@@ -4,7 +4,7 @@ use glam::DVec3;
 use nalgebra::DMatrix;
 
 use super::harmonics::{self, HarmonicsMethod};
-use super::model::Model;
+use super::model::{Model, SHININESS};
 use super::weights::Samples;
 use super::{log_quadratic, phong};
 use crate::observation::TexelObservations;
@@ -25,7 +25,7 @@ pub struct FitOptions {
 
 impl Default for FitOptions {
     fn default() -> Self {
-        Self { relative_error: 0.03, floor: None, robust: false, penalty: None }
+        Self { relative_error: 0.03, floor: None, robust: true, penalty: None }
     }
 }
 
@@ -38,7 +38,7 @@ impl FitFlags {
     pub const TOO_FEW_VIEWS: Self = Self(1);
     /// No view measured the texel: its radiance is 0 because something must be stored.
     pub const NO_VIEWS: Self = Self(2);
-    /// A parameter ended at its bound, or a lobe has no radiance.
+    /// A lobe's shininess or direction ended at its bound, or a logarithm had to be kept from growing away.
     pub const AT_BOUND: Self = Self(4);
     /// The search ran out of steps.
     pub const NOT_CONVERGED: Self = Self(8);
@@ -75,6 +75,7 @@ pub struct Fitter {
     options: FitOptions,
     floor: f64,
     penalty: f64,
+    shininess_max: f64,
     gram: Option<nalgebra::Cholesky<f64, nalgebra::Dyn>>,
 }
 
@@ -97,7 +98,14 @@ impl Fitter {
             ));
         }
         let floor = options.floor.unwrap_or_else(|| 0.05 * median_radiance(sample));
-        let mut fitter = Self { model, options: *options, floor, penalty: 0.0, gram: None };
+        let mut fitter = Self {
+            model,
+            options: *options,
+            floor,
+            penalty: 0.0,
+            shininess_max: sharpest(sample),
+            gram: None,
+        };
         if let Model::Harmonics { order, method } = model {
             match method {
                 HarmonicsMethod::Smoothed => {
@@ -129,11 +137,13 @@ impl Fitter {
     pub fn fit(&self, texel: &TexelObservations) -> TexelFit {
         let mut samples = Samples::of(texel, self.options.relative_error, self.floor);
         let weights = samples.weights.clone();
-        let (mut parameters, mut flags) = self.solve(&samples);
+        let (mut parameters, mut flags) = self.solve(&samples, None);
         if self.options.robust && samples.len() > self.model.unknowns() {
             for _ in 0..3 {
-                self.reweight(&mut samples, &weights, &parameters);
-                (parameters, flags) = self.solve(&samples);
+                if !self.reweight(&mut samples, &weights, &parameters) {
+                    break;
+                }
+                (parameters, flags) = self.solve(&samples, Some(&parameters));
             }
         }
         if !parameters.iter().all(|value| value.is_finite()) {
@@ -150,7 +160,7 @@ impl Fitter {
         texels.iter().map(|texel| self.fit(texel)).collect()
     }
 
-    fn solve(&self, samples: &Samples) -> (Vec<f32>, FitFlags) {
+    fn solve(&self, samples: &Samples, before: Option<&[f32]>) -> (Vec<f32>, FitFlags) {
         let mut flags = FitFlags::default();
         if samples.len() == 0 {
             flags.set(FitFlags::NO_VIEWS);
@@ -165,7 +175,10 @@ impl Fitter {
         let parameters = match self.model {
             Model::Constant => Some(constant()),
             Model::Phong { lobes } => {
-                let fit = phong::fit(samples, usize::from(lobes));
+                let fit = match before {
+                    None => phong::fit(samples, usize::from(lobes), self.shininess_max),
+                    Some(before) => phong::refit(samples, before, self.shininess_max),
+                };
                 if fit.at_bound {
                     flags.set(FitFlags::AT_BOUND);
                 }
@@ -174,9 +187,18 @@ impl Fitter {
                 }
                 Some(fit.parameters)
             }
+<<<<<<< HEAD
             Model::LogQuadratic => {
                 log_quadratic::fit(samples).map(|found| found.iter().flatten().map(|v| *v as f32).collect())
             }
+=======
+            Model::LogQuadratic => log_quadratic::fit(samples).map(|(found, held)| {
+                if held {
+                    flags.set(FitFlags::AT_BOUND);
+                }
+                found.iter().flatten().map(|v| *v as f32).collect()
+            }),
+>>>>>>> fit
             Model::Harmonics { order, method } => {
                 self.harmonics(usize::from(order), method, samples).map(|found| {
                     (0..found.nrows()).flat_map(|i| [0, 1, 2].map(|c| found[(i, c)] as f32)).collect()
@@ -223,7 +245,8 @@ impl Fitter {
         scored.min_by(|a, b| a.0.total_cmp(&b.0)).map_or(1e-6, |(_, penalty)| penalty)
     }
 
-    fn reweight(&self, samples: &mut Samples, weights: &[f64], parameters: &[f32]) {
+    /// Huber's weights; `false`, and nothing changed, where no observation disagrees with the rest.
+    fn reweight(&self, samples: &mut Samples, weights: &[f64], parameters: &[f32]) -> bool {
         let misses: Vec<f64> = (0..samples.len())
             .map(|i| (squared_miss(self.model, parameters, samples, i) * weights[i] / 3.0).sqrt())
             .collect();
@@ -231,9 +254,13 @@ impl Fitter {
         sorted.sort_by(f64::total_cmp);
         // The median miss of a Gaussian in three channels is 0.89 standard deviations.
         let scale = (sorted[sorted.len() / 2] / 0.89).max(f64::MIN_POSITIVE);
+        if sorted[sorted.len() - 1] <= 4.0 * scale {
+            return false;
+        }
         for ((to, weight), miss) in samples.weights.iter_mut().zip(weights).zip(misses) {
             *to = weight * (2.0 * scale / miss.max(f64::MIN_POSITIVE)).min(1.0);
         }
+        true
     }
 
     fn residuals(&self, samples: &Samples, parameters: &[f32]) -> (f32, f32) {
@@ -253,6 +280,27 @@ fn squared_miss(model: Model, parameters: &[f32], samples: &Samples, i: usize) -
     let direction: DVec3 = samples.directions[i];
     let predicted = model.radiance(parameters, direction.as_vec3());
     predicted.iter().zip(samples.radiance[i]).map(|(p, l)| (f64::from(*p) - l).powi(2)).sum()
+}
+
+/// The greatest shininess that the views can tell from a single bright pixel: the lobe's half width at half maximum
+/// is a third of the spacing between neighbouring views.
+fn sharpest(sample: &[TexelObservations]) -> f64 {
+    let stride = sample.len().div_ceil(8).max(1);
+    let mut spacings = Vec::new();
+    for texel in sample.iter().step_by(stride) {
+        for (i, a) in texel.direction.iter().enumerate() {
+            let others = texel.direction.iter().enumerate().filter(|(j, _)| *j != i);
+            spacings.extend(others.map(|(_, b)| a.angle_between(*b)).min_by(f32::total_cmp));
+        }
+    }
+    spacings.retain(|spacing| spacing.is_finite());
+    if spacings.is_empty() {
+        return *SHININESS.end();
+    }
+    let middle = spacings.len() / 2;
+    let half_width = f64::from(*spacings.select_nth_unstable_by(middle, f32::total_cmp).1) / 3.0;
+    let shininess = std::f64::consts::LN_2 / -half_width.cos().ln().min(-f64::MIN_POSITIVE);
+    shininess.clamp(*SHININESS.start(), *SHININESS.end())
 }
 
 fn median_radiance(sample: &[TexelObservations]) -> f64 {

@@ -6,6 +6,7 @@
 use glam::{DVec3, Vec3};
 use nalgebra::{Matrix6, Matrix6x3, Vector6};
 
+use super::harmonics::hemisphere;
 use super::weights::Samples;
 
 /// 1, x, y, x², xy, y² of a unit vector.
@@ -17,8 +18,12 @@ pub(super) fn terms(direction: Vec3) -> [f64; 6] {
 /// What each unit of the quadratic's slope and curvature about the views' centre costs, in mean squared log radiance.
 const RIDGE: f64 = 1e-4;
 
-/// The 6 × 3 coefficients (term by term, R G B each); `None` without a sample of positive radiance.
-pub(super) fn fit(samples: &Samples) -> Option<[[f64; 3]; 6]> {
+/// Nowhere on the hemisphere is the model brighter than this times the brightest observation.
+const BRIGHTEST: f64 = 4.0;
+
+/// The 6 × 3 coefficients (term by term, R G B each), and whether they had to be kept from growing away from the
+/// views; `None` without a sample of positive radiance.
+pub(super) fn fit(samples: &Samples) -> Option<([[f64; 3]; 6], bool)> {
     let total: f64 = samples.weights.iter().sum();
     let mean = samples.mean();
     // Far below the mean a logarithm is noise.
@@ -47,13 +52,33 @@ pub(super) fn fit(samples: &Samples) -> Option<[[f64; 3]; 6]> {
     if sum <= 0.0 {
         return None;
     }
-    for i in 1..6 {
-        gram[(i, i)] += RIDGE * sum;
+    let limit: [f64; 3] = std::array::from_fn(|c| {
+        BRIGHTEST.ln() + samples.radiance.iter().fold(least[c], |most, radiance| most.max(radiance[c])).ln()
+    });
+    let mut ridge = RIDGE;
+    // An exponential runs away where no view holds it: flatten it until it does not. At 1e4 nothing is left of it.
+    while ridge < 1e4 {
+        let mut system = gram;
+        for i in 1..6 {
+            system[(i, i)] += ridge * sum;
+        }
+        let found = about_the_axis(&system.cholesky()?.solve(&right), centre);
+        let fits = |direction: DVec3| {
+            let terms = terms(direction.as_vec3());
+            (0..3).all(|c| terms.iter().zip(&found).map(|(t, k)| t * k[c]).sum::<f64>() <= limit[c])
+        };
+        if hemisphere(128).all(fits) {
+            return Some((found, ridge > RIDGE));
+        }
+        ridge *= 10.0;
     }
-    let found = gram.cholesky()?.solve(&right);
-    // About the views' centre -> about the axis, so that the file needs no centre.
+    None
+}
+
+/// The same quadratic with x and y counted from the axis, so that the file needs no centre.
+fn about_the_axis(found: &Matrix6x3<f64>, centre: DVec3) -> [[f64; 3]; 6] {
     let (u, v) = (centre.x, centre.y);
-    Some(std::array::from_fn(|i| {
+    std::array::from_fn(|i| {
         std::array::from_fn(|c| {
             let [k, x, y, xx, xy, yy] = std::array::from_fn(|j| found[(j, c)]);
             match i {
@@ -65,5 +90,5 @@ pub(super) fn fit(samples: &Samples) -> Option<[[f64; 3]; 6]> {
                 _ => yy,
             }
         })
-    }))
+    })
 }

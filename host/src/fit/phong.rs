@@ -25,24 +25,49 @@ struct Lobe {
 pub(super) struct PhongFit {
     /// In the order of `Model::channel_names`.
     pub parameters: Vec<f32>,
-    /// A lobe's shininess or direction ended at its bound, or a lobe has no radiance.
+    /// A lobe's shininess or direction ended at its bound.
     pub at_bound: bool,
     /// The search ended because nothing got better, not because it ran out of steps.
     pub converged: bool,
 }
 
-/// Fits `lobes` (1 to 3) lobes.
-pub(super) fn fit(samples: &Samples, lobes: usize) -> PhongFit {
-    let problem = Problem::new(samples);
-    let first = grow::<1, 5>(&problem, [], 0);
-    match lobes {
-        1 => first.finish(),
-        2 => grow::<2, 9>(&problem, first.lobes, 1).finish(),
-        _ => {
-            let second = grow::<2, 9>(&problem, first.lobes, 1);
-            grow::<3, 13>(&problem, second.lobes, 2).finish()
+/// Fits up to `lobes` (1 to 3) lobes, none sharper than `shininess_max`; a lobe that does not earn its six numbers is
+/// left without radiance.
+pub(super) fn fit(samples: &Samples, lobes: usize, shininess_max: f64) -> PhongFit {
+    let problem = Problem::new(samples, shininess_max);
+    let mut found = Found::constant(&problem);
+    for count in 1..=lobes {
+        let more = match count {
+            1 => grow::<1, 5>(&problem, &found.lobes),
+            2 => grow::<2, 9>(&problem, &found.lobes),
+            _ => grow::<3, 13>(&problem, &found.lobes),
+        };
+        if !problem.earned(&found, &more) {
+            break;
         }
+        found = more;
     }
+    found.finish(lobes, shininess_max)
+}
+
+/// Fits again from what `parameters` say, with other weights: lobes neither come nor go.
+pub(super) fn refit(samples: &Samples, parameters: &[f32], shininess_max: f64) -> PhongFit {
+    let problem = Problem::new(samples, shininess_max);
+    let lobes: Vec<_> = parameters[3..]
+        .chunks_exact(7)
+        .filter(|lobe| lobe[..3].iter().any(|specular| *specular > 0.0))
+        .map(|lobe| Lobe {
+            direction: DVec3::new(lobe[4].into(), lobe[5].into(), lobe[6].into()).normalize_or(DVec3::Z),
+            shininess: lobe[3].into(),
+        })
+        .collect();
+    let found = match *lobes.as_slice() {
+        [] => Found::constant(&problem),
+        [a] => refine::<1, 5>(&problem, [a]),
+        [a, b] => refine::<2, 9>(&problem, [a, b]),
+        [a, b, c, ..] => refine::<3, 13>(&problem, [a, b, c]),
+    };
+    found.finish(parameters.len() / 7, shininess_max)
 }
 
 struct Problem<'a> {
@@ -50,10 +75,11 @@ struct Problem<'a> {
     weight: f64,
     right: [f64; 3],
     energy: f64,
+    shininess_max: f64,
 }
 
 impl<'a> Problem<'a> {
-    fn new(samples: &'a Samples) -> Self {
+    fn new(samples: &'a Samples, shininess_max: f64) -> Self {
         let (mut weight, mut right, mut energy) = (0.0, [0.0; 3], 0.0);
         for (w, radiance) in samples.weights.iter().zip(&samples.radiance) {
             weight += w;
@@ -62,7 +88,16 @@ impl<'a> Problem<'a> {
                 energy += w * radiance[c] * radiance[c];
             }
         }
-        Self { samples, weight, right, energy }
+        Self { samples, weight, right, energy, shininess_max }
+    }
+
+    /// Whether one lobe more lowers the residual by more than its six numbers would by chance (Schwarz's criterion,
+    /// 1978): needless lobes make foils no better and cloth worse.
+    fn earned(&self, before: &Found, after: &Found) -> bool {
+        let count = 3.0 * self.samples.len() as f64;
+        let floor = 1e-14 * self.energy;
+        before.linear.squares > floor
+            && count * (before.linear.squares / after.linear.squares.max(floor)).ln() > 6.0 * count.ln()
     }
 }
 
@@ -147,13 +182,13 @@ fn linear<const C: usize>(problem: &Problem, moments: &Moments<C>, terms: usize)
     found
 }
 
-struct State<const L: usize> {
-    lobes: [Lobe; L],
+struct Found {
+    lobes: Vec<Lobe>,
     linear: Linear,
     converged: bool,
 }
 
-fn refine<const L: usize, const C: usize>(problem: &Problem, start: [Lobe; L]) -> State<L> {
+fn refine<const L: usize, const C: usize>(problem: &Problem, start: [Lobe; L]) -> Found {
     let mut lobes = start;
     let mut current = moments::<L, C>(problem, &lobes);
     let mut found = linear(problem, &current, 1 + L);
@@ -174,12 +209,12 @@ fn refine<const L: usize, const C: usize>(problem: &Problem, start: [Lobe; L]) -
             damping *= 10.0;
             continue;
         };
-        let moved = apply(&lobes, &step);
+        let moved = apply(&lobes, &step, problem.shininess_max);
         let trial = moments::<L, C>(problem, &moved);
         let trial_found = linear(problem, &trial, 1 + L);
         let gain = found.squares - trial_found.squares;
         if gain > 0.0 {
-            let small = gain < 1e-6 * found.squares;
+            let small = gain < 1e-5 * found.squares;
             (lobes, current, found) = (moved, trial, trial_found);
             damping = (damping * 0.1).max(1e-9);
             if small {
@@ -194,7 +229,7 @@ fn refine<const L: usize, const C: usize>(problem: &Problem, start: [Lobe; L]) -
             }
         }
     }
-    State { lobes, linear: found, converged }
+    Found { lobes: lobes.into(), linear: found, converged }
 }
 
 /// Gauss-Newton matrix and negative gradient of the reduced problem, per lobe: log shininess and two turns.
@@ -252,7 +287,7 @@ fn search_direction<const L: usize, const C: usize>(
     (hessian, gradient)
 }
 
-fn apply<const L: usize>(lobes: &[Lobe; L], step: &[f64; 9]) -> [Lobe; L] {
+fn apply<const L: usize>(lobes: &[Lobe; L], step: &[f64; 9], shininess_max: f64) -> [Lobe; L] {
     std::array::from_fn(|l| {
         let (first, second) = lobes[l].direction.any_orthonormal_pair();
         let step = &step[3 * l..3 * l + 3];
@@ -265,11 +300,16 @@ fn apply<const L: usize>(lobes: &[Lobe; L], step: &[f64; 9]) -> [Lobe; L] {
             direction.z = 0.0;
         }
         let shininess =
+<<<<<<< HEAD
             (lobes[l].shininess * step[0].clamp(-1.0, 1.0).exp()).clamp(*SHININESS.start(), *SHININESS.end());
+=======
+            (lobes[l].shininess * step[0].clamp(-1.0, 1.0).exp()).clamp(*SHININESS.start(), shininess_max);
+>>>>>>> fit
         Lobe { direction, shininess }
     })
 }
 
+<<<<<<< HEAD
 /// Adds lobe number `known` to the lobes found before it and refines them together.
 fn grow<const L: usize, const C: usize>(
     problem: &Problem,
@@ -289,6 +329,21 @@ fn grow<const L: usize, const C: usize>(
         }
     }
     best.unwrap_or_else(|| refine::<L, C>(problem, lobes))
+=======
+/// Adds a lobe to those found before it and refines them together.
+fn grow<const L: usize, const C: usize>(problem: &Problem, before: &[Lobe]) -> Found {
+    let ladder = Ladder::new(problem, before);
+    // A second lobe hides in what the first one left: there one start is too few.
+    let starts = ladder.starts().into_iter().take(if before.is_empty() { 1 } else { 2 });
+    let found = starts.map(|start| {
+        let mut lobes = [start; L];
+        lobes[..before.len()].copy_from_slice(before);
+        refine::<L, C>(problem, lobes)
+    });
+    found
+        .min_by(|a, b| a.linear.squares.total_cmp(&b.linear.squares))
+        .unwrap_or_else(|| Found::constant(problem))
+>>>>>>> fit
 }
 
 /// The search for a lobe's start among directions and shininesses.
@@ -408,7 +463,13 @@ impl<'a> Ladder<'a> {
                     })
                     .sum();
                 if best.is_none_or(|best| gain > best.0) {
-                    best = Some((gain, Lobe { direction, shininess: f64::from(1 << (rung + 1)) }));
+                    best = Some((
+                        gain,
+                        Lobe {
+                            direction,
+                            shininess: f64::from(1 << (rung + 1)).min(self.problem.shininess_max),
+                        },
+                    ));
                 }
             }
             starts.extend(best);
@@ -442,24 +503,37 @@ impl<'a> Ladder<'a> {
     }
 }
 
-impl<const L: usize> State<L> {
-    fn finish(mut self) -> PhongFit {
-        let mut order: [usize; L] = std::array::from_fn(|l| l);
+impl Found {
+    fn constant(problem: &Problem) -> Self {
+        let mut linear = Linear { values: [[0.0; 4]; 3], active: [1; 3], squares: problem.energy };
+        for c in 0..3 {
+            linear.values[c][0] = (problem.right[c] / problem.weight).max(0.0);
+            linear.squares -= linear.values[c][0] * problem.right[c];
+        }
+        Self { lobes: Vec::new(), linear, converged: true }
+    }
+
+    /// The strongest lobe first, and lobes without radiance up to `lobes`.
+    fn finish(self, lobes: usize, shininess_max: f64) -> PhongFit {
         let strength = |l: usize| -> f64 { self.linear.values.iter().map(|v| v[1 + l]).sum() };
+        let mut order: Vec<usize> = (0..self.lobes.len()).filter(|l| strength(*l) > 0.0).collect();
         order.sort_by(|a, b| strength(*b).total_cmp(&strength(*a)));
         let mut at_bound = false;
         let mut parameters: Vec<f32> = self.linear.values.iter().map(|v| v[0] as f32).collect();
         for l in order {
-            if self.linear.values.iter().all(|v| v[1 + l] == 0.0) {
-                // Without radiance, shininess and direction mean nothing: say so in one way.
-                self.lobes[l] = Lobe { direction: DVec3::Z, shininess: *SHININESS.start() };
-            }
             let Lobe { direction, shininess } = self.lobes[l];
+<<<<<<< HEAD
             at_bound |=
                 shininess <= *SHININESS.start() || shininess >= *SHININESS.end() || direction.z <= 0.0;
+=======
+            at_bound |= shininess <= *SHININESS.start() || shininess >= shininess_max || direction.z <= 0.0;
+>>>>>>> fit
             parameters.extend(self.linear.values.iter().map(|v| v[1 + l] as f32));
             parameters.push(shininess as f32);
             parameters.extend(direction.as_vec3().to_array());
+        }
+        while parameters.len() < 3 + 7 * lobes {
+            parameters.extend([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0]);
         }
         PhongFit { parameters, at_bound, converged: self.converged }
     }
