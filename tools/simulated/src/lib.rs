@@ -1,1 +1,3 @@
 //! A simulated rig, camera and surface with a known truth.
+
+pub mod rig;
