@@ -9,7 +9,7 @@ use super::{Rig, RigLimits};
 use crate::{Error, Result};
 
 /// How long a moving rig may be silent before it is asked: its word that it arrived can be lost.
-const SILENCE: Duration = Duration::from_millis(300);
+const SILENCE: Duration = Duration::from_millis(200);
 /// How much later than announced a move may end.
 const PATIENCE: Duration = Duration::from_secs(3);
 

@@ -14,9 +14,9 @@ use crate::{Error, Result};
 /// Ignored by USB, right for the others.
 const BAUD: u32 = 115_200;
 /// How long the rig may take to answer before the request is said again: a frame takes a few milliseconds.
-const REPLY_TIME: Duration = Duration::from_millis(250);
+const REPLY_TIME: Duration = Duration::from_millis(100);
 /// How often a request is said before the rig is given up: two seconds cover a board that starts.
-const ATTEMPTS: u32 = 8;
+const ATTEMPTS: u32 = 20;
 
 /// A serial port with a rig at its other end, asked one thing at a time.
 pub(super) struct Line {

@@ -1,0 +1,187 @@
+//! The host's rig against the firmware's core, across a pseudo-terminal.
+
+use std::io::Write;
+use std::time::{Duration, Instant};
+
+use rigel::rig::{Rig, SerialRig};
+use rigel_firmware_core::Controller;
+use rigel_protocol::{Command, LARGEST_FRAME, Reply, Request, SCHEMA, VERSION, encode};
+use rigel_simulated::rig::{Faults, RigOptions, SimulatedRig};
+
+/// A rig at `speed_factor` times the real speed, with faults on its line.
+fn simulated(faults: Faults) -> SimulatedRig {
+    SimulatedRig::start(RigOptions { speed_factor: 60.0, faults, ..Default::default() }).unwrap()
+}
+
+const VIEWS_RAD: [[f64; 2]; 5] = [[0.5, 0.3], [-2.0, 1.2], [3.1415, 1.57], [-3.1415, -0.17], [0.0, 0.0]];
+
+#[test]
+fn moves_arrive_and_the_position_is_true() {
+    let simulated = simulated(Faults::default());
+    let mut rig = SerialRig::open(simulated.port_name()).unwrap();
+    assert!(rig.describe().contains(simulated.port_name()), "{}", rig.describe());
+    let position = simulated.position();
+    for [pan_rad, tilt_rad] in VIEWS_RAD {
+        rig.move_to(pan_rad, tilt_rad).unwrap();
+        let at = position.now();
+        assert!(!at.moving);
+        // Half of the rig's unit, a thousandth of a degree.
+        assert!((at.pan_rad - pan_rad).abs() < 9e-6 && (at.tilt_rad - tilt_rad).abs() < 9e-6, "{at:?}");
+    }
+}
+
+#[test]
+fn the_surface_moves_while_the_host_waits() {
+    let simulated = simulated(Faults::default());
+    let mut rig = SerialRig::open(simulated.port_name()).unwrap();
+    let position = simulated.position();
+    let mover = std::thread::spawn(move || rig.move_to(3.0, 0.5).map(|()| rig));
+    let mut seen = Vec::new();
+    while !mover.is_finished() {
+        seen.push(position.now());
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    mover.join().unwrap().unwrap();
+    assert!(seen.windows(2).all(|s| s[0].pan_rad <= s[1].pan_rad));
+    assert!(seen.iter().any(|s| s.moving && s.pan_rad > 0.1 && s.pan_rad < 2.9));
+}
+
+#[test]
+fn the_mount_error_shows_in_the_true_position_alone() {
+    let options = RigOptions { speed_factor: 30.0, mount_error_rad: 0.005, ..Default::default() };
+    let simulated = SimulatedRig::start(options).unwrap();
+    let mut rig = SerialRig::open(simulated.port_name()).unwrap();
+    for [pan_rad, tilt_rad] in VIEWS_RAD {
+        rig.move_to(pan_rad, tilt_rad).unwrap();
+        let at = simulated.position().now();
+        let error_rad = (at.pan_rad - pan_rad).abs().max((at.tilt_rad - tilt_rad).abs());
+        assert!((1e-4..5.1e-3).contains(&error_rad), "{error_rad}");
+    }
+}
+
+#[test]
+fn a_move_beyond_the_limits_is_refused_with_its_value_and_nothing_moves() {
+    let simulated = simulated(Faults::default());
+    let mut rig = SerialRig::open(simulated.port_name()).unwrap();
+    for ([pan_rad, tilt_rad], told) in [
+        ([3.5, 0.0], "a pan of 200.535° is outside the rig's limits of -180.000° to 180.000°"),
+        ([0.0, -0.5], "a tilt of -28.648° is outside the rig's limits of -10.000° to 90.000°"),
+        ([f64::NAN, 0.0], "a pan of NaN°"),
+        ([0.0, 1e12], "a tilt of"),
+    ] {
+        let error = rig.move_to(pan_rad, tilt_rad).unwrap_err().to_string();
+        assert!(error.contains(told) && error.starts_with(simulated.port_name()), "{error}");
+        let at = simulated.position().now();
+        assert_eq!((at.pan_rad, at.tilt_rad, at.moving), (0.0, 0.0, false));
+    }
+    rig.move_to(0.1, 0.1).unwrap();
+}
+
+/// Every request is obeyed all the same, once.
+fn survives(faults: Faults) {
+    let simulated = simulated(faults);
+    let mut rig = SerialRig::open(simulated.port_name()).unwrap();
+    for [pan_rad, tilt_rad] in VIEWS_RAD {
+        rig.move_to(pan_rad, tilt_rad).unwrap();
+        let at = simulated.position().now();
+        assert!(!at.moving && (at.pan_rad - pan_rad).abs() < 9e-6 && (at.tilt_rad - tilt_rad).abs() < 9e-6);
+    }
+}
+
+#[test]
+fn lost_frames_cost_time_and_nothing_else() {
+    survives(Faults { drop_every: 3, ..Faults::default() });
+}
+
+#[test]
+fn damaged_frames_cost_time_and_nothing_else() {
+    survives(Faults { corrupt_every: 4, ..Faults::default() });
+}
+
+#[test]
+fn lost_and_damaged_frames_cost_time_and_nothing_else() {
+    survives(Faults { drop_every: 7, corrupt_every: 3, ..Faults::default() });
+}
+
+#[test]
+fn an_unplugged_rig_is_an_error_that_names_the_port() {
+    for frames in [0, 1, 3, 7, 9] {
+        let simulated = simulated(Faults { unplug_after: Some(frames), ..Faults::default() });
+        let start = Instant::now();
+        let outcome = SerialRig::open(simulated.port_name())
+            .and_then(|mut rig| VIEWS_RAD.iter().try_for_each(|&[pan, tilt]| rig.move_to(pan, tilt)));
+        let error = outcome.unwrap_err().to_string();
+        assert!(error.starts_with(simulated.port_name()) && error.contains("unplugged"), "{error}");
+        assert!(start.elapsed() < Duration::from_secs(10), "it hung");
+    }
+}
+
+#[test]
+fn a_rig_that_says_nothing_is_given_up() {
+    let simulated = simulated(Faults { drop_every: 1, ..Faults::default() });
+    let error = SerialRig::open(simulated.port_name()).err().unwrap().to_string();
+    assert!(error.starts_with(simulated.port_name()) && error.contains("no answer"), "{error}");
+}
+
+#[test]
+fn firmware_of_another_version_is_refused_naming_both() {
+    let simulated = simulated(Faults { version: Some(VERSION + 8), ..Faults::default() });
+    let error = SerialRig::open(simulated.port_name()).err().unwrap().to_string();
+    let both = [format!("version {} ", VERSION + 8), format!("version {VERSION} "), format!("{SCHEMA:08x}")];
+    assert!(both.iter().all(|part| error.contains(part)), "{error}");
+}
+
+#[test]
+fn a_host_may_take_over_a_rig_that_another_left_moving() {
+    let options = RigOptions { speed_factor: 4.0, ..Default::default() };
+    let simulated = SimulatedRig::start(options).unwrap();
+    let position = simulated.position();
+    let wait_until = |what: &dyn Fn() -> bool| {
+        let deadline = Instant::now() + Duration::from_secs(5);
+        while !what() {
+            assert!(Instant::now() < deadline);
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    };
+    // A host that starts a move and dies.
+    let mut port = std::fs::OpenOptions::new().write(true).open(simulated.port_name()).unwrap();
+    let mut say = |sequence, command| {
+        port.write_all(encode(&Request { sequence, command }, &mut [0; LARGEST_FRAME]).unwrap()).unwrap();
+    };
+    say(1, Command::Hello { version: VERSION, schema: SCHEMA });
+    say(2, Command::Home);
+    wait_until(&|| position.now().moving);
+    wait_until(&|| !position.now().moving);
+    say(3, Command::MoveTo { pan_mdeg: 180_000, tilt_mdeg: 0 });
+    wait_until(&|| position.now().pan_rad > 0.3);
+    drop(port);
+
+    let mut rig = SerialRig::open(simulated.port_name()).unwrap();
+    let at = position.now();
+    assert_eq!((at.pan_rad, at.moving), (0.0, false), "homed");
+    rig.move_to(0.2, 0.2).unwrap();
+    // One host at a time; the next may come when this one has gone.
+    assert!(SerialRig::open(simulated.port_name()).is_err());
+    drop(rig);
+    SerialRig::open(simulated.port_name()).unwrap();
+}
+
+#[test]
+fn host_and_firmware_agree_on_the_time_of_a_move() {
+    let simulated = simulated(Faults::default());
+    let limits = SerialRig::open(simulated.port_name()).unwrap().limits();
+    let mut firmware = Controller::new("clockwork", RigOptions::default().limits).unwrap();
+    firmware.handle(Request { sequence: 0, command: Command::Hello { version: VERSION, schema: SCHEMA } }, 0);
+    firmware.handle(Request { sequence: 1, command: Command::Home }, 0);
+    let (mut now_us, mut from) = (0, [0.0; 2]);
+    for (sequence, [pan_rad, tilt_rad]) in (2..).zip(VIEWS_RAD) {
+        now_us += 60_000_000;
+        firmware.tick(now_us);
+        let [pan_mdeg, tilt_mdeg] = [pan_rad, tilt_rad].map(|a| (a.to_degrees() * 1e3).round() as i32);
+        let request = Request { sequence, command: Command::MoveTo { pan_mdeg, tilt_mdeg } };
+        let Reply::Accepted { duration_ms } = firmware.handle(request, now_us).reply else { panic!() };
+        let expected_s = limits.travel_time_s(from, [pan_rad, tilt_rad]);
+        assert!((f64::from(duration_ms) / 1e3 - expected_s).abs() < 2e-3, "{duration_ms} ms, {expected_s} s");
+        from = [pan_rad, tilt_rad];
+    }
+}
