@@ -159,14 +159,6 @@ fn the_patchwork_camera_is_recovered_from_its_photographs() {
             "patchwork: channel {channel}: response within {:.2} % (median over levels 20 to 235)",
             100.0 * error
         );
-<<<<<<< HEAD
-        if std::env::var_os("CURVE").is_some() {
-            for z in (5..256).step_by(10) {
-                println!("{z} {:.4}", f64::from(response.exposure(channel)[z]) / truth[z] / scale);
-            }
-        }
-=======
->>>>>>> radiance
         assert!(error <= 0.02, "channel {channel}: {error}");
     }
 

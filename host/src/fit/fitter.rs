@@ -187,18 +187,12 @@ impl Fitter {
                 }
                 Some(fit.parameters)
             }
-<<<<<<< HEAD
-            Model::LogQuadratic => {
-                log_quadratic::fit(samples).map(|found| found.iter().flatten().map(|v| *v as f32).collect())
-            }
-=======
             Model::LogQuadratic => log_quadratic::fit(samples).map(|(found, held)| {
                 if held {
                     flags.set(FitFlags::AT_BOUND);
                 }
                 found.iter().flatten().map(|v| *v as f32).collect()
             }),
->>>>>>> fit
             Model::Harmonics { order, method } => {
                 self.harmonics(usize::from(order), method, samples).map(|found| {
                     (0..found.nrows()).flat_map(|i| [0, 1, 2].map(|c| found[(i, c)] as f32)).collect()

@@ -11,12 +11,9 @@ mod model;
 mod phong;
 mod select;
 mod small;
-<<<<<<< HEAD
 mod surface;
-=======
 #[cfg(test)]
 mod tests;
->>>>>>> fit
 mod voronoi;
 mod weights;
 

@@ -300,36 +300,11 @@ fn apply<const L: usize>(lobes: &[Lobe; L], step: &[f64; 9], shininess_max: f64)
             direction.z = 0.0;
         }
         let shininess =
-<<<<<<< HEAD
-            (lobes[l].shininess * step[0].clamp(-1.0, 1.0).exp()).clamp(*SHININESS.start(), *SHININESS.end());
-=======
             (lobes[l].shininess * step[0].clamp(-1.0, 1.0).exp()).clamp(*SHININESS.start(), shininess_max);
->>>>>>> fit
         Lobe { direction, shininess }
     })
 }
 
-<<<<<<< HEAD
-/// Adds lobe number `known` to the lobes found before it and refines them together.
-fn grow<const L: usize, const C: usize>(
-    problem: &Problem,
-    before: impl AsRef<[Lobe]>,
-    known: usize,
-) -> State<L> {
-    let mut lobes = [Lobe { direction: DVec3::Z, shininess: 1.0 }; L];
-    lobes[..known].copy_from_slice(before.as_ref());
-    let ladder = Ladder::new(problem, &lobes[..known]);
-    let starts = ladder.starts();
-    let mut best: Option<State<L>> = None;
-    for start in starts.iter().take(if known == 0 { 1 } else { 2 }) {
-        lobes[known] = *start;
-        let state = refine::<L, C>(problem, lobes);
-        if best.as_ref().is_none_or(|best| state.linear.squares < best.linear.squares) {
-            best = Some(state);
-        }
-    }
-    best.unwrap_or_else(|| refine::<L, C>(problem, lobes))
-=======
 /// Adds a lobe to those found before it and refines them together.
 fn grow<const L: usize, const C: usize>(problem: &Problem, before: &[Lobe]) -> Found {
     let ladder = Ladder::new(problem, before);
@@ -343,7 +318,6 @@ fn grow<const L: usize, const C: usize>(problem: &Problem, before: &[Lobe]) -> F
     found
         .min_by(|a, b| a.linear.squares.total_cmp(&b.linear.squares))
         .unwrap_or_else(|| Found::constant(problem))
->>>>>>> fit
 }
 
 /// The search for a lobe's start among directions and shininesses.
@@ -522,12 +496,7 @@ impl Found {
         let mut parameters: Vec<f32> = self.linear.values.iter().map(|v| v[0] as f32).collect();
         for l in order {
             let Lobe { direction, shininess } = self.lobes[l];
-<<<<<<< HEAD
-            at_bound |=
-                shininess <= *SHININESS.start() || shininess >= *SHININESS.end() || direction.z <= 0.0;
-=======
             at_bound |= shininess <= *SHININESS.start() || shininess >= shininess_max || direction.z <= 0.0;
->>>>>>> fit
             parameters.extend(self.linear.values.iter().map(|v| v[1 + l] as f32));
             parameters.push(shininess as f32);
             parameters.extend(direction.as_vec3().to_array());
