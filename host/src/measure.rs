@@ -64,7 +64,7 @@ pub fn measure(session: &Session, choice: &ResponseChoice, progress: &dyn Progre
     let mut samples = Samples::default();
     for i in 0..looked_at {
         progress.step(i, total)?;
-        samples.add(&stack(session, views[i * views.len() / looked_at])?);
+        samples.add(&stack(session, views[i * views.len() / looked_at])?)?;
     }
     let first = Picture::read(session.photograph_path(session.photographs(views[0])[0]))?;
     let response = match choice {
