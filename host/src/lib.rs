@@ -13,5 +13,6 @@ pub mod parameter_map;
 pub mod progress;
 pub mod radiance;
 pub mod rig;
+pub mod sampling;
 
 pub use error::{Error, Result};

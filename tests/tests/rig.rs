@@ -10,10 +10,10 @@ use rigel_simulated::rig::{Faults, RigOptions, SimulatedRig};
 
 /// A rig at `speed_factor` times the real speed, with faults on its line.
 fn simulated(faults: Faults) -> SimulatedRig {
-    SimulatedRig::start(RigOptions { speed_factor: 60.0, faults, ..Default::default() }).unwrap()
+    SimulatedRig::start(RigOptions { speed_factor: 60.0, faults, ..Default::default() }).expect("it starts")
 }
 
-const VIEWS_RAD: [[f64; 2]; 5] = [[0.5, 0.3], [-2.0, 1.2], [3.1415, 1.57], [-3.1415, -0.17], [0.0, 0.0]];
+const VIEWS_RAD: [[f64; 2]; 5] = [[0.5, 0.3], [-2.0, 1.2], [3.1, 1.57], [-3.1, -0.17], [0.0, 0.0]];
 
 #[test]
 fn moves_arrive_and_the_position_is_true() {
@@ -80,9 +80,9 @@ fn a_move_beyond_the_limits_is_refused_with_its_value_and_nothing_moves() {
 /// Every request is obeyed all the same, once.
 fn survives(faults: Faults) {
     let simulated = simulated(faults);
-    let mut rig = SerialRig::open(simulated.port_name()).unwrap();
+    let mut rig = SerialRig::open(simulated.port_name()).expect("it answers");
     for [pan_rad, tilt_rad] in VIEWS_RAD {
-        rig.move_to(pan_rad, tilt_rad).unwrap();
+        rig.move_to(pan_rad, tilt_rad).expect("it arrives");
         let at = simulated.position().now();
         assert!(!at.moving && (at.pan_rad - pan_rad).abs() < 9e-6 && (at.tilt_rad - tilt_rad).abs() < 9e-6);
     }
