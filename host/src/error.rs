@@ -75,9 +75,7 @@ fn remedy_for(source: &std::io::Error) -> &'static str {
     use std::io::ErrorKind::*;
     match source.kind() {
         NotFound => "check the path",
-        PermissionDenied | ReadOnlyFilesystem => {
-            "choose a folder that you may write, or change its permissions"
-        }
+        PermissionDenied | ReadOnlyFilesystem => "choose a folder that you may write, or change its permissions",
         StorageFull | QuotaExceeded => "free some space and run the command again",
         AlreadyExists => "choose another name or remove it first",
         _ => "check the disk and run the command again",

@@ -11,8 +11,7 @@ use crate::{Error, Result};
 /// Whatever `write` returns, or the failure to rename; then the temporary file is removed and what stood at `path` is untouched.
 pub fn write_beside(path: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
     let temporary = temporary_for(path);
-    let finished =
-        write(&temporary).and_then(|()| fs::rename(&temporary, path).map_err(Error::io("write", path)));
+    let finished = write(&temporary).and_then(|()| fs::rename(&temporary, path).map_err(Error::io("write", path)));
     if finished.is_err() {
         // Best effort: the error that matters is the one returned.
         let _ = fs::remove_file(&temporary);

@@ -45,19 +45,7 @@ impl Lens {
     /// A lens without distortion, its axis through the centre of the picture.
     pub fn pinhole(width: u32, height: u32, focal_px: f64) -> Self {
         let (cx, cy) = ((f64::from(width) - 1.0) / 2.0, (f64::from(height) - 1.0) / 2.0);
-        Self {
-            width,
-            height,
-            fx: focal_px,
-            fy: focal_px,
-            cx,
-            cy,
-            k1: 0.0,
-            k2: 0.0,
-            p1: 0.0,
-            p2: 0.0,
-            k3: 0.0,
-        }
+        Self { width, height, fx: focal_px, fy: focal_px, cx, cy, k1: 0.0, k2: 0.0, p1: 0.0, p2: 0.0, k3: 0.0 }
     }
 
     /// Where a point of the camera frame appears, in pixels of the distorted photograph; `None` behind the camera or
@@ -88,10 +76,8 @@ impl Lens {
                 break;
             }
             let h = 1e-6;
-            let dx =
-                (self.distort(u + DVec2::new(h, 0.0)) - self.distort(u - DVec2::new(h, 0.0))) / (2.0 * h);
-            let dy =
-                (self.distort(u + DVec2::new(0.0, h)) - self.distort(u - DVec2::new(0.0, h))) / (2.0 * h);
+            let dx = (self.distort(u + DVec2::new(h, 0.0)) - self.distort(u - DVec2::new(h, 0.0))) / (2.0 * h);
+            let dy = (self.distort(u + DVec2::new(0.0, h)) - self.distort(u - DVec2::new(0.0, h))) / (2.0 * h);
             let determinant = dx.x * dy.y - dy.x * dx.y;
             if determinant.abs() < 1e-12 {
                 return None;
@@ -105,7 +91,8 @@ impl Lens {
 
     /// The same lens for a photograph of another size, each axis scaled by itself.
     pub fn scaled_to(&self, width: u32, height: u32) -> Self {
-        let (sx, sy) = (f64::from(width) / f64::from(self.width), f64::from(height) / f64::from(self.height));
+        let (sx, sy) =
+            (f64::from(width) / f64::from(self.width), f64::from(height) / f64::from(self.height));
         Self {
             width,
             height,
