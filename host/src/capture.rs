@@ -1,8 +1,8 @@
 //! A capture session: the rig goes from view to view, the camera brackets each until no pixel is saturated.
 
 use crate::camera::Camera;
+use crate::picture::Picture;
 use crate::progress::Progress;
-use crate::radiance::Picture;
 use crate::rig::Rig;
 use crate::session::{Event, Manifest, Photograph, Session, View};
 use crate::{Error, Result};

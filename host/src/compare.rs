@@ -52,7 +52,9 @@ pub fn compare(
 /// # Errors
 /// What drawing or reading the observation map reports.
 pub fn describe(report: &mut Report, compared: &[Compared], observations: &ObservationMap) -> Result<()> {
-    let Some(best) = compared.iter().min_by(|a, b| a.evaluation.mean_255().total_cmp(&b.evaluation.mean_255())) else {
+    let Some(best) =
+        compared.iter().min_by(|a, b| a.evaluation.mean_255().total_cmp(&b.evaluation.mean_255()))
+    else {
         return Ok(());
     };
     report.heading("Views that the fit has not seen");
@@ -72,7 +74,10 @@ pub fn describe(report: &mut Report, compared: &[Compared], observations: &Obser
             .collect::<Result<_>>()?;
         report.pictures(
             pictures,
-            format!("{}: mean difference {:.2} of 255, PSNR {:.1} dB", error.name, error.mean_255, error.psnr_db),
+            format!(
+                "{}: mean difference {:.2} of 255, PSNR {:.1} dB",
+                error.name, error.mean_255, error.psnr_db
+            ),
         );
     }
     report.heading("Every model");
@@ -125,7 +130,8 @@ fn chosen_texels(observations: &ObservationMap) -> Result<Vec<((u32, u32), Texel
     let tiles = observations.header().tiles();
     let mut chosen = vec![];
     for (x, y) in [(1, 1), (3, 1), (1, 3), (3, 3)] {
-        let tile = observations.tile((y * tiles.rows / 4 * tiles.columns + x * tiles.columns / 4) as usize)?;
+        let tile =
+            observations.tile((y * tiles.rows / 4 * tiles.columns + x * tiles.columns / 4) as usize)?;
         let seen = tile.into_iter().filter(|(_, texel)| texel.len() >= 3);
         let seen: Vec<_> = seen.collect();
         let middle = seen.len() / 2;
@@ -147,7 +153,8 @@ fn profile(column: u32, row: u32, texel: &TexelObservations, compared: &[Compare
         .map(|i| (texel.direction[i].as_dvec3(), f64::from(texel.radiance[i][1])))
         .filter(|(direction, _)| direction.dot(across).abs() < 10f64.to_radians().sin())
         .map(|(direction, radiance)| (direction.dot(along).atan2(direction.z).to_degrees(), radiance));
-    let mut series = vec![Series { name: "measured".into(), points: measured.collect(), drawn: Drawn::Marks }];
+    let mut series =
+        vec![Series { name: "measured".into(), points: measured.collect(), drawn: Drawn::Marks }];
     for compared in compared.iter().filter(|c| DRAWN.contains(&c.map.model.name().as_str())) {
         let value = |degrees: i32| {
             let (sine, cosine) = f64::from(degrees).to_radians().sin_cos();
@@ -161,6 +168,7 @@ fn profile(column: u32, row: u32, texel: &TexelObservations, compared: &[Compare
             drawn: Drawn::Line,
         });
     }
-    let angle = Axis { label: "degrees from the normal, in the plane of the brightest view", logarithmic: false };
+    let angle =
+        Axis { label: "degrees from the normal, in the plane of the brightest view", logarithmic: false };
     chart::lines(&series, (angle, Axis { label: "radiance", logarithmic: false }))
 }

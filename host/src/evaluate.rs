@@ -11,8 +11,9 @@ use half::f16;
 
 use crate::geometry::{Lens, Pose};
 use crate::parameter_map::ParameterMap;
+use crate::picture::Picture;
 use crate::progress::{Progress, Silent};
-use crate::radiance::{Picture, RadianceImage};
+use crate::radiance::RadianceImage;
 use crate::render::{self, expose, gamma_for_median, render};
 use crate::session::Session;
 use crate::view_file::ReferenceFile;
@@ -93,7 +94,9 @@ impl Comparison {
         let width = self.width as usize;
         let rows = (0..self.height as usize).map(|row| row * width..(row + 1) * width);
         let levels: Vec<[u8; 3]> = rows
-            .flat_map(|row| [&self.truth[row.clone()], &self.prediction[row.clone()], &self.difference[row]].concat())
+            .flat_map(|row| {
+                [&self.truth[row.clone()], &self.prediction[row.clone()], &self.difference[row]].concat()
+            })
             .collect();
         render::png(3 * self.width, self.height, levels.as_flattened())
     }
@@ -126,7 +129,10 @@ impl Evaluation {
     pub fn write(&self, folder: &Path) -> Result<()> {
         std::fs::create_dir_all(folder).map_err(Error::io("create", folder))?;
         for comparison in &self.comparisons {
-            file::write_bytes(&folder.join(format!("{}.png", comparison.name)), &comparison.side_by_side_png()?)?;
+            file::write_bytes(
+                &folder.join(format!("{}.png", comparison.name)),
+                &comparison.side_by_side_png()?,
+            )?;
         }
         file::write_bytes(&folder.join("errors.csv"), self.csv().as_bytes())
     }

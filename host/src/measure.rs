@@ -7,8 +7,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use rayon::prelude::*;
 
 use crate::calibration::Vignetting;
+use crate::picture::Picture;
 use crate::progress::Progress;
-use crate::radiance::{NoiseModel, Picture, RadianceImage, Response, Samples, Stack, merge};
+use crate::radiance::{NoiseModel, RadianceImage, Response, Samples, Stack, merge};
 use crate::session::Session;
 use crate::{Error, Result, file};
 

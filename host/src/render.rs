@@ -140,7 +140,10 @@ pub fn png(width: u32, height: u32, levels: &[u8]) -> Result<Vec<u8>> {
         image::ImageFormat::Png,
     )
     .map_err(|error| {
-        Error::request(format!("a PNG of {width}x{height} pixels cannot be made ({error})"), "render a smaller picture")
+        Error::request(
+            format!("a PNG of {width}x{height} pixels cannot be made ({error})"),
+            "render a smaller picture",
+        )
     })?;
     Ok(bytes)
 }

@@ -6,7 +6,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use rigel::calibration::Vignetting;
-use rigel::radiance::{Picture, RadianceImage, Samples, Stack, merge};
+use rigel::picture::Picture;
+use rigel::radiance::{RadianceImage, Samples, Stack, merge};
 use rigel_tests::data;
 
 /// The 16 photographs of the memorial church; `memorial.txt` lists one over the exposure time.

@@ -3,7 +3,8 @@
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-use crate::radiance::{NoiseModel, Picture, RadianceImage, Response};
+use crate::picture::Picture;
+use crate::radiance::{NoiseModel, RadianceImage, Response};
 use crate::{Error, Result};
 
 /// Side of the squares over which a flat field is averaged, pixels.

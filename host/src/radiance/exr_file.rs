@@ -127,7 +127,7 @@ mod tests {
         image().write_exr(&path, "response.csv").unwrap();
         assert_eq!(RadianceImage::read_exr(&path).unwrap(), image());
         // Any reader of OpenEXR sees an RGB picture.
-        let picture = super::super::Picture::read(&path).unwrap();
+        let picture = crate::picture::Picture::read(&path).unwrap();
         assert_eq!((picture.width, picture.height), (37, 19));
     }
 

@@ -151,9 +151,10 @@ impl Tables {
 
 #[cfg(test)]
 mod tests {
+    use super::super::Samples;
     use super::super::simulated::{self, CURVES, Curve};
-    use super::super::{Picture, Samples};
     use super::*;
+    use crate::picture::Picture;
 
     fn learnt(stack: &Stack) -> (Response, NoiseModel) {
         let mut samples = Samples::default();

@@ -3,7 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::samples::Block;
-use super::{Picture, Response, Samples};
+use super::{Response, Samples};
+use crate::picture::Picture;
 
 /// The variance of an exposure x (response table's unit), per channel:
 /// `shot * x + read + slope(x)² * level`, where the slope is the response's: exposure per level.

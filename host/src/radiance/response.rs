@@ -4,7 +4,7 @@ use std::path::Path;
 
 use half::f16;
 
-use super::Picture;
+use crate::picture::Picture;
 use crate::{Error, Result, file};
 
 /// Exposure per level and channel; never decreasing, and 1 at the middle level, so that it fixes the session's unit of

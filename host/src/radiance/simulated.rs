@@ -3,7 +3,8 @@
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 
-use super::{Picture, Stack};
+use super::Stack;
+use crate::picture::Picture;
 
 /// A response as a camera's: level (0 to 1) from exposure (0 to 1).
 pub type Curve = fn(f64) -> f64;

@@ -1,5 +1,5 @@
 //! A simulated rig, camera and surface with a known truth.
 
 pub mod camera;
-pub mod scene;
 pub mod rig;
+pub mod scene;

@@ -1,2 +1,5 @@
-use crate::arguments::Capture; use rigel::Result;
-pub fn capture(_a: &Capture) -> Result<()> { Ok(()) }
+use crate::arguments::Capture;
+use rigel::Result;
+pub fn capture(_a: &Capture) -> Result<()> {
+    Ok(())
+}

@@ -1,2 +1,5 @@
-use crate::arguments::Demo; use rigel::Result;
-pub fn demo(_a: &Demo) -> Result<()> { Ok(()) }
+use crate::arguments::Demo;
+use rigel::Result;
+pub fn demo(_a: &Demo) -> Result<()> {
+    Ok(())
+}

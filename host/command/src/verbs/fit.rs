@@ -21,17 +21,20 @@ pub fn fit(arguments: &Fit) -> Result<()> {
     let map = ObservationMap::open(&arguments.observations)?;
     let options = FitOptions::default();
     let names = map.header().views.iter().map(|view| view.name.as_str());
-    let without: Vec<u32> = views_by_name(names, &arguments.without, &arguments.observations.display().to_string())?
-        .into_iter()
-        .map(|view| view as u32)
-        .collect();
+    let without: Vec<u32> =
+        views_by_name(names, &arguments.without, &arguments.observations.display().to_string())?
+            .into_iter()
+            .map(|view| view as u32)
+            .collect();
     let model = match arguments.model.as_str() {
         "auto" => choose(&map, &without, &options)?,
         name => Model::parse(name)?,
     };
     let fitted = fit_surface(&map, model, &options, &without, &Bar::new("fitting"))?;
-    let out =
-        arguments.out.clone().unwrap_or_else(|| arguments.observations.with_file_name(format!("{}.exr", model.name())));
+    let out = arguments
+        .out
+        .clone()
+        .unwrap_or_else(|| arguments.observations.with_file_name(format!("{}.exr", model.name())));
     fitted.write(&out)?;
     println!("wrote {}: {}, {} bytes per texel", out.display(), model.name(), model.bytes_per_texel());
     summarise(&fitted);
@@ -63,7 +66,10 @@ fn summarise(fitted: &ParameterMap) {
     );
     for (flag, meaning) in [
         (FitFlags::NO_VIEWS, "were not measured by any view and are black"),
-        (FitFlags::TOO_FEW_VIEWS, "were measured by fewer views than the model has unknowns and are constant"),
+        (
+            FitFlags::TOO_FEW_VIEWS,
+            "were measured by fewer views than the model has unknowns and are constant",
+        ),
         (FitFlags::AT_BOUND, "have a parameter at its bound, or a lobe without radiance"),
         (FitFlags::NOT_CONVERGED, "did not converge"),
     ] {
@@ -125,11 +131,17 @@ pub fn evaluate(arguments: &Evaluate) -> Result<()> {
             session_references(&session, &session_views(&session, &arguments.views)?)?
         }
         (None, None) => {
-            return Err(Error::request("there is nothing to compare with", "give --references LIST or --session FOLDER"));
+            return Err(Error::request(
+                "there is nothing to compare with",
+                "give --references LIST or --session FOLDER",
+            ));
         }
     };
     let evaluation = score(&map, &references, &Bar::new("evaluating"))?;
-    println!("{:<16} {:>8} {:>12} {:>8} {:>16}", "view", "pixels", "mean of 255", "PSNR dB", "median relative");
+    println!(
+        "{:<16} {:>8} {:>12} {:>8} {:>16}",
+        "view", "pixels", "mean of 255", "PSNR dB", "median relative"
+    );
     for view in &evaluation.views {
         println!(
             "{:<16} {:>8} {:>12.2} {:>8.2} {:>14.2} %",
@@ -151,6 +163,9 @@ pub fn evaluate(arguments: &Evaluate) -> Result<()> {
     let stem = arguments.map.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let out = arguments.out.clone().unwrap_or_else(|| arguments.map.with_file_name(format!("{stem}-errors")));
     evaluation.write(&out)?;
-    println!("wrote {}: errors.csv and a picture for each view (seen, predicted, difference x 4)", out.display());
+    println!(
+        "wrote {}: errors.csv and a picture for each view (seen, predicted, difference x 4)",
+        out.display()
+    );
     Ok(())
 }

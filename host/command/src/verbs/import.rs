@@ -2,12 +2,12 @@
 
 use std::path::PathBuf;
 
+use rigel::Result;
 use rigel::measure::{ResponseChoice, measure};
 use rigel::observation::{self, observe as build};
 use rigel::session::Session;
 use rigel::session::import::{Options, Source, import as run};
 use rigel::view_file::Calibration;
-use rigel::Result;
 
 use crate::arguments::{Import, Observe, Radiance};
 use crate::progress::Bar;
@@ -20,8 +20,11 @@ pub fn import(arguments: &Import) -> Result<()> {
         (None, Some(model)) => Source::Colmap { model: model.clone(), photographs },
         (None, None) => Source::Folder(photographs),
     };
-    let calibration =
-        arguments.calibration.as_ref().map(|path| Calibration::read(path, arguments.pixel_centre)).transpose()?;
+    let calibration = arguments
+        .calibration
+        .as_ref()
+        .map(|path| Calibration::read(path, arguments.pixel_centre))
+        .transpose()?;
     let options = Options {
         surface: arguments.surface,
         distance_m: arguments.distance,
@@ -68,10 +71,12 @@ pub fn radiance(arguments: &Radiance) -> Result<()> {
 pub fn observe(arguments: &Observe) -> Result<()> {
     let session = Session::open(&arguments.session)?;
     let out = arguments.out.clone().unwrap_or_else(|| session.folder().join("observations.rigel"));
-    let map = build(&session, &out, &observation::Options { texels: arguments.texels }, &Bar::new("observing"))?;
+    let map =
+        build(&session, &out, &observation::Options { texels: arguments.texels }, &Bar::new("observing"))?;
     let header = map.header();
     if header.views.iter().any(|view| view.gain != 1.0) {
-        let gains: Vec<String> = header.views.iter().map(|view| format!("{} {:.3}", view.name, view.gain)).collect();
+        let gains: Vec<String> =
+            header.views.iter().map(|view| format!("{} {:.3}", view.name, view.gain)).collect();
         println!("note: exposure times are unknown; gains: {}", gains.join(", "));
     }
     println!(

@@ -14,13 +14,21 @@ use rigel::session::Session;
 use rigel::{Error, Result};
 
 /// Views by their names.
-fn views_by_name<'a>(names: impl Iterator<Item = &'a str>, wanted: &[String], where_: &str) -> Result<Vec<usize>> {
+fn views_by_name<'a>(
+    names: impl Iterator<Item = &'a str>,
+    wanted: &[String],
+    where_: &str,
+) -> Result<Vec<usize>> {
     let names: Vec<&str> = names.collect();
     let find = |name: &String| {
         names.iter().position(|known| known == name).ok_or_else(|| {
             Error::request(
                 format!("{where_} has no view {name}"),
-                format!("choose among {} to {}", names.first().unwrap_or(&"none"), names.last().unwrap_or(&"none")),
+                format!(
+                    "choose among {} to {}",
+                    names.first().unwrap_or(&"none"),
+                    names.last().unwrap_or(&"none")
+                ),
             )
         })
     };

@@ -12,8 +12,8 @@ use std::path::{Path, PathBuf};
 
 use super::{Event, Manifest, Photograph, Session};
 use crate::geometry::Surface;
+use crate::picture::Picture;
 use crate::progress::Progress;
-use crate::radiance::Picture;
 use crate::view_file::Calibration;
 use crate::{Error, Result, file};
 

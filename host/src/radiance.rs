@@ -1,6 +1,6 @@
 //! From bracketed photographs to radiance with its variance, on one scale for a whole session.
 //!
-//! The road: [`Picture`]s of one view make a [`Stack`]; a few blocks of pixels of every stack go into [`Samples`];
+//! The road: [`Picture`](crate::picture::Picture)s of one view make a [`Stack`]; a few blocks of pixels of every stack go into [`Samples`];
 //! from these come the camera's [`Response`] and its [`NoiseModel`]; [`merge`] then turns each stack into a
 //! [`RadianceImage`]. The response is normalised once, so all views of a session share one unit.
 
@@ -8,16 +8,16 @@ mod exr_file;
 mod image;
 mod merge;
 mod noise;
-mod picture;
 mod recover;
 mod response;
 mod samples;
 #[cfg(test)]
 mod simulated;
+mod stack;
 
 pub use image::{Mask, RadianceImage};
 pub use merge::merge;
 pub use noise::NoiseModel;
-pub use picture::{Picture, Stack};
 pub use response::Response;
 pub use samples::Samples;
+pub use stack::Stack;
