@@ -97,7 +97,10 @@ impl Fitter {
                 "photograph more views or fit a smaller model (constant needs 1, phong 5, log-quadratic 6)",
             ));
         }
-        let floor = options.floor.unwrap_or_else(|| 0.05 * median_radiance(sample));
+        let median = median_radiance(sample);
+        // Where a black texel has no error at all its weight would be infinite.
+        let floor =
+            options.floor.unwrap_or(0.05 * median).max(1e-6 * median).max(f64::from(f32::MIN_POSITIVE));
         let mut fitter = Self {
             model,
             options: *options,

@@ -95,7 +95,8 @@ impl<'a> Problem<'a> {
     /// 1978): needless lobes make foils no better and cloth worse.
     fn earned(&self, before: &Found, after: &Found) -> bool {
         let count = 3.0 * self.samples.len() as f64;
-        let floor = 1e-14 * self.energy;
+        // Radiance comes in single precision: what is left below that is rounding.
+        let floor = 1e-12 * self.energy;
         before.linear.squares > floor
             && count * (before.linear.squares / after.linear.squares.max(floor)).ln() > 6.0 * count.ln()
     }
