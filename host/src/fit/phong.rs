@@ -4,6 +4,7 @@
 //!
 //! A lobe started at Ks = 0 has no gradient, and one started beside the highlight finds a smaller one: lobes are added
 //! one by one, each from the best of several directions and a ladder of shininesses.
+#![expect(clippy::needless_range_loop, reason = "indices name rows and columns of small matrices")]
 
 use glam::DVec3;
 
