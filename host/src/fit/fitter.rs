@@ -15,7 +15,7 @@ use crate::{Error, Result};
 pub struct FitOptions {
     /// What no model says exactly, as a fraction of the radiance.
     pub relative_error: f64,
-    /// What no model says exactly, as a radiance; `None`: 10 % of the surface's median radiance.
+    /// What no model says exactly, as a radiance; `None`: 5 % of the surface's median radiance.
     pub floor: Option<f64>,
     /// Observations that disagree with the rest count less (Huber weights): passers-by, flares, wrong pixels.
     pub robust: bool,
@@ -25,7 +25,7 @@ pub struct FitOptions {
 
 impl Default for FitOptions {
     fn default() -> Self {
-        Self { relative_error: 0.05, floor: None, robust: true, penalty: None }
+        Self { relative_error: 0.03, floor: None, robust: true, penalty: None }
     }
 }
 
@@ -100,7 +100,7 @@ impl Fitter {
         let median = median_radiance(sample);
         // Where a black texel has no error at all its weight would be infinite.
         let floor =
-            options.floor.unwrap_or(0.1 * median).max(1e-6 * median).max(f64::from(f32::MIN_POSITIVE));
+            options.floor.unwrap_or(0.05 * median).max(1e-6 * median).max(f64::from(f32::MIN_POSITIVE));
         let mut fitter = Self {
             model,
             options: *options,

@@ -1,4 +1,5 @@
 //! Small dense systems on the stack: a lobe's fit solves thousands of them a second.
+#![expect(clippy::needless_range_loop, reason = "indices name rows and columns of small matrices")]
 
 /// Solves the leading `n` × `n` block of a symmetric positive definite system by Cholesky; `None` where it is not.
 pub(super) fn solve<const N: usize>(matrix: &[[f64; N]; N], right: &[f64; N], n: usize) -> Option<[f64; N]> {
