@@ -38,7 +38,7 @@ impl FitFlags {
     pub const TOO_FEW_VIEWS: Self = Self(1);
     /// No view measured the texel: its radiance is 0 because something must be stored.
     pub const NO_VIEWS: Self = Self(2);
-    /// A lobe's shininess or direction ended at its bound, or a logarithm had to be kept from growing away.
+    /// A lobe's shininess or direction ended at its bound.
     pub const AT_BOUND: Self = Self(4);
     /// The search ran out of steps.
     pub const NOT_CONVERGED: Self = Self(8);
@@ -97,7 +97,10 @@ impl Fitter {
                 "photograph more views or fit a smaller model (constant needs 1, phong 5, log-quadratic 6)",
             ));
         }
-        let floor = options.floor.unwrap_or_else(|| 0.05 * median_radiance(sample));
+        let median = median_radiance(sample);
+        // Where a black texel has no error at all its weight would be infinite.
+        let floor =
+            options.floor.unwrap_or(0.05 * median).max(1e-6 * median).max(f64::from(f32::MIN_POSITIVE));
         let mut fitter = Self {
             model,
             options: *options,
@@ -187,12 +190,9 @@ impl Fitter {
                 }
                 Some(fit.parameters)
             }
-            Model::LogQuadratic => log_quadratic::fit(samples).map(|(found, held)| {
-                if held {
-                    flags.set(FitFlags::AT_BOUND);
-                }
-                found.iter().flatten().map(|v| *v as f32).collect()
-            }),
+            Model::LogQuadratic => {
+                log_quadratic::fit(samples).map(|found| found.iter().flatten().map(|v| *v as f32).collect())
+            }
             Model::Harmonics { order, method } => {
                 self.harmonics(usize::from(order), method, samples).map(|found| {
                     (0..found.nrows()).flat_map(|i| [0, 1, 2].map(|c| found[(i, c)] as f32)).collect()

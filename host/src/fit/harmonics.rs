@@ -4,6 +4,7 @@
 //! ill-posed (condition 4e8 for 36 coefficients). [`HarmonicsMethod::Smoothed`] adds the integral of the squared
 //! Laplacian, which grows as (l (l + 1))², with a weight chosen by generalised cross-validation once for a surface.
 //! The thesis's two methods are kept to be compared with.
+#![expect(clippy::needless_range_loop, reason = "indices name rows and columns of small matrices")]
 
 use std::f64::consts::PI;
 use std::sync::LazyLock;

@@ -16,7 +16,8 @@ pub enum Model {
         /// Number of lobes, 1 to 3.
         lobes: u8,
     },
-    /// exp of a quadratic in the direction's x and y: six coefficients for each channel. For few views in a narrow cone.
+    /// exp of a quadratic in the direction's x and y, up to a greatest value: seven numbers for each channel. For few
+    /// views in a narrow cone.
     LogQuadratic,
     /// Real spherical harmonics below `order`: order² coefficients for each channel (thesis, chapter 12).
     Harmonics {
@@ -78,7 +79,7 @@ impl Model {
         match self {
             Self::Constant => 3,
             Self::Phong { lobes } => 3 + 7 * usize::from(*lobes),
-            Self::LogQuadratic => 18,
+            Self::LogQuadratic => 21,
             Self::Harmonics { order, .. } => 3 * usize::from(*order).pow(2),
         }
     }
@@ -94,9 +95,9 @@ impl Model {
         }
     }
 
-    /// Memory of one texel's coefficients as half floats, bytes.
+    /// Memory of one texel's coefficients, bytes: half floats, single precision for logarithms.
     pub fn bytes_per_texel(&self) -> usize {
-        2 * self.parameter_count()
+        if *self == Self::LogQuadratic { 4 * self.parameter_count() } else { 2 * self.parameter_count() }
     }
 
     /// One name for each parameter, in their order, as a stranger finds them in the file: `diffuse.R`, `shininess`,
@@ -115,7 +116,7 @@ impl Model {
                 }
                 names
             }
-            Self::LogQuadratic => ["log.1", "log.x", "log.y", "log.xx", "log.xy", "log.yy"]
+            Self::LogQuadratic => ["log.1", "log.x", "log.y", "log.xx", "log.xy", "log.yy", "log.most"]
                 .iter()
                 .flat_map(|t| rgb(t))
                 .collect(),
@@ -159,6 +160,9 @@ impl Model {
             Self::Harmonics { .. } => radiance.map(|l| l * (4.0 * std::f32::consts::PI).sqrt()),
         };
         parameters[..3].copy_from_slice(&first);
+        if *self == Self::LogQuadratic {
+            parameters[18..].copy_from_slice(&first);
+        }
         if let Self::Phong { .. } = self {
             for lobe in parameters[3..].chunks_exact_mut(7) {
                 lobe[3..].copy_from_slice(&[1.0, 0.0, 0.0, 1.0]);
@@ -192,7 +196,10 @@ impl Toward {
                 }
                 sum
             }
-            Model::LogQuadratic => self.sum(parameters, 6).map(f32::exp),
+            Model::LogQuadratic => {
+                let log = self.sum(parameters, 6);
+                std::array::from_fn(|c| log[c].min(parameters[18 + c]).exp())
+            }
             Model::Harmonics { order, .. } => self.sum(parameters, usize::from(order).pow(2)),
         };
         // Finite also where a hostile file says otherwise.

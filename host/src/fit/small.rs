@@ -1,4 +1,5 @@
 //! Small dense systems on the stack: a lobe's fit solves thousands of them a second.
+#![expect(clippy::needless_range_loop, reason = "indices name rows and columns of small matrices")]
 
 /// Solves the leading `n` × `n` block of a symmetric positive definite system by Cholesky; `None` where it is not.
 pub(super) fn solve<const N: usize>(matrix: &[[f64; N]; N], right: &[f64; N], n: usize) -> Option<[f64; N]> {
@@ -104,7 +105,8 @@ mod tests {
         (gram[0][0], gram[0][1], gram[1][0], gram[1][1]) = (2.0, 1.0, 1.0, 1.0);
         // Without bounds the solution is (2, -1).
         let (values, active, gain) = nonnegative(&gram, &[3.0, 1.0, 0.0, 0.0], 2);
-        assert_eq!((values[0], values[1], active), (1.5, 0.0, 1));
+        assert_eq!((values[1], active), (0.0, 1));
+        assert!((values[0] - 1.5).abs() < 1e-12);
         assert!((gain - 4.5).abs() < 1e-12);
     }
 }

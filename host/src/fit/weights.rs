@@ -27,7 +27,7 @@ impl Samples {
             let mean = (radiance[0] + radiance[1] + radiance[2]) / 3.0;
             let model = relative_error * mean;
             let variance = f64::from(*sigma).powi(2) + model * model + floor * floor;
-            let weight = variance.max(f64::MIN_POSITIVE).recip();
+            let weight = variance.recip();
             if direction.is_finite()
                 && radiance.iter().all(|l| l.is_finite())
                 && weight.is_finite()

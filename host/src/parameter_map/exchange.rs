@@ -176,7 +176,7 @@ impl ParameterMap {
                 "L(d) = diffuse + sum over lobes of specular * max(0, dot(lobe, d))^shininess"
             }
             Model::LogQuadratic => {
-                "L(d) = exp(log.1 + log.x x + log.y y + log.xx x^2 + log.xy x y + log.yy y^2), d = (x, y, z)"
+                "L(d) = exp(min(log.most, log.1 + log.x x + log.y y + log.xx x^2 + log.xy x y + log.yy y^2)), d = (x, y, z)"
             }
             Model::Harmonics { .. } => {
                 "L(d) = max(0, sum over l, m of c_lm Y_lm(d)), Y real orthonormal spherical harmonics without \
