@@ -4,17 +4,9 @@ use crate::camera::Camera;
 use crate::picture::Picture;
 use crate::progress::Progress;
 use crate::rig::Rig;
+use crate::sampling::Stop;
 use crate::session::{Event, Manifest, Photograph, Session, View};
 use crate::{Error, Result};
-
-/// The rig's angles of one view.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Target {
-    /// Pan, radians.
-    pub pan_rad: f64,
-    /// Tilt, radians.
-    pub tilt_rad: f64,
-}
 
 /// What a capture will take.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -29,13 +21,13 @@ pub struct Plan {
     pub most_bytes: u64,
 }
 
-/// Appends views at `targets` to a manifest, in this order, with lens 0.
-pub fn add_views(manifest: &mut Manifest, targets: &[Target]) {
-    for target in targets {
+/// Appends the stops of a tour to a manifest as views, in this order, with lens 0.
+pub fn add_views(manifest: &mut Manifest, stops: &[Stop]) {
+    for stop in stops {
         manifest.views.push(View {
             name: format!("view{:03}", manifest.views.len()),
-            pan_deg: Some(target.pan_rad.to_degrees()),
-            tilt_deg: Some(target.tilt_rad.to_degrees()),
+            pan_deg: Some(stop.pan_rad.to_degrees()),
+            tilt_deg: Some(stop.tilt_rad.to_degrees()),
             lens: 0,
             pose: None,
         });
@@ -72,25 +64,24 @@ pub fn plan(
 ) -> Result<Plan> {
     let times = bracket(camera, longest_s)?;
     let limits = rig.limits();
-    let (mut at, mut travel_s, mut views) = ([0.0, 0.0], 0.0, 0);
+    let (mut at, mut travel_s, mut views) = ([0.0; 2], 0.0, 0);
     for index in (0..manifest.views.len()).filter(|index| !done.contains(index)) {
-        let target = target(manifest, index)?;
-        if !limits.contains(target.pan_rad, target.tilt_rad) {
+        let to @ [pan_rad, tilt_rad] = target(manifest, index)?;
+        if !limits.contains(pan_rad, tilt_rad) {
             let degrees =
                 |range: [f64; 2]| format!("{:.1} to {:.1}", range[0].to_degrees(), range[1].to_degrees());
             return Err(Error::request(
                 format!(
                     "view {} is at pan {:.1} and tilt {:.1} degrees, the rig reaches {} and {}",
                     manifest.views[index].name,
-                    target.pan_rad.to_degrees(),
-                    target.tilt_rad.to_degrees(),
+                    pan_rad.to_degrees(),
+                    tilt_rad.to_degrees(),
                     degrees(limits.pan_rad),
                     degrees(limits.tilt_rad)
                 ),
                 "choose a smaller --zenith-limit",
             ));
         }
-        let to = [target.pan_rad, target.tilt_rad];
         travel_s += limits.travel_time_s(at, to);
         at = to;
         views += 1;
@@ -124,8 +115,8 @@ pub fn capture(
         if session.is_done(view) {
             continue;
         }
-        let target = target(&session.manifest, view)?;
-        rig.move_to(target.pan_rad, target.tilt_rad)?;
+        let [pan_rad, tilt_rad] = target(&session.manifest, view)?;
+        rig.move_to(pan_rad, tilt_rad)?;
         photograph_view(session, view, camera, &times, &|| progress.step(view, total))?;
         session.record(Event::ViewDone { view })?;
     }
@@ -166,10 +157,11 @@ fn photograph_view(
     Ok(())
 }
 
-fn target(manifest: &Manifest, view: usize) -> Result<Target> {
+/// Pan and tilt of a view, radians.
+fn target(manifest: &Manifest, view: usize) -> Result<[f64; 2]> {
     let record = &manifest.views[view];
     match (record.pan_deg, record.tilt_deg) {
-        (Some(pan), Some(tilt)) => Ok(Target { pan_rad: pan.to_radians(), tilt_rad: tilt.to_radians() }),
+        (Some(pan), Some(tilt)) => Ok([pan.to_radians(), tilt.to_radians()]),
         _ => Err(Error::request(
             format!("view {} has no pan and tilt", record.name),
             "capture into a session that `rigel capture` started",

@@ -86,6 +86,27 @@ pub fn icosphere(subdivisions: u32, zenith_limit_rad: f64) -> Result<Vec<DVec3>>
     Ok(vertices)
 }
 
+/// The icosphere whose number of views within the limit comes nearest to `count`.
+///
+/// # Errors
+/// Those of [`icosphere`].
+pub fn icosphere_near(count: usize, zenith_limit_rad: f64) -> Result<Vec<DVec3>> {
+    nearest((0..=5).map(|subdivisions| icosphere(subdivisions, zenith_limit_rad)), count)
+}
+
+/// The latitude-longitude views whose number within the limit comes nearest to `count`.
+///
+/// # Errors
+/// Those of [`latitude_longitude`].
+pub fn latitude_longitude_near(count: usize, zenith_limit_rad: f64) -> Result<Vec<DVec3>> {
+    nearest((1..=40).map(|rings| latitude_longitude(rings, zenith_limit_rad)), count)
+}
+
+fn nearest(choices: impl Iterator<Item = Result<Vec<DVec3>>>, count: usize) -> Result<Vec<DVec3>> {
+    let choices: Vec<Vec<DVec3>> = choices.collect::<Result<_>>()?;
+    Ok(choices.into_iter().min_by_key(|views| views.len().abs_diff(count)).unwrap_or_default())
+}
+
 /// Rings of views at `rings` even steps of the zenith, the last at `zenith_limit_rad`, and one at the pole (thesis
 /// 8.1.3). The number of views in a ring follows the sine of its zenith, so that they are as far apart as the rings.
 ///

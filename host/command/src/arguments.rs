@@ -8,7 +8,7 @@ use rigel::units::{parse_length_m, parse_surface, parse_texels};
 
 /// Captures how a surface looks from every direction and fits the smallest model that reproduces it.
 #[derive(Parser)]
-#[command(version, about, arg_required_else_help = true, infer_long_args = false)]
+#[command(version, about, arg_required_else_help = true)]
 pub struct Arguments {
     #[command(subcommand)]
     pub verb: Verb,
@@ -54,7 +54,7 @@ pub struct Capture {
     /// How directions are chosen
     #[arg(long, value_enum, default_value = "icosphere")]
     pub sampling: SamplingChoice,
-    /// About how many views the whole hemisphere would get (an icosphere has 17, 73, 305 or 1249)
+    /// About how many views (an icosphere of the whole hemisphere has 17, 73, 305 or 1249, and fewer within the limit)
     #[arg(long, default_value_t = 73)]
     pub views: usize,
     /// Largest zenith angle, degrees
@@ -66,18 +66,6 @@ pub struct Capture {
     /// The first exposure time of each view, seconds; it is halved until no pixel is saturated
     #[arg(long, default_value_t = 1.0)]
     pub longest_exposure: f64,
-    /// Distance from the rig's centre to the camera
-    #[arg(long, default_value = "900mm", value_parser = parse_length_m)]
-    pub distance: f64,
-    /// Size of the sampled area
-    #[arg(long, default_value = "200mmx150mm", value_parser = parse_surface)]
-    pub surface: Surface,
-    /// The lens, from a TOML or JSON file with OpenCV's names (the simulated camera knows its own)
-    #[arg(long)]
-    pub calibration: Option<PathBuf>,
-    /// Where the calibration has the centre of the first pixel: 0 as OpenCV, or 0.5
-    #[arg(long, default_value_t = 0.0)]
-    pub pixel_centre: f64,
     /// Print views, time and disk space; move and photograph nothing
     #[arg(long)]
     pub dry_run: bool,

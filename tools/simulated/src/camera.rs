@@ -125,6 +125,17 @@ impl<R: Fn() -> (f64, f64)> SimulatedCamera<R> {
         }
     }
 
+    /// Photographs an evenly lit sheet of radiance 1 in place of the board: a flat field.
+    ///
+    /// # Errors
+    /// Those of [`Camera::photograph`].
+    pub fn photograph_even_sheet(&mut self, exposure_s: f64, stem: &Path) -> Result<Taken> {
+        self.seen = Some((self.pose(), vec![[1.0; 3]; self.eye.rays.len()]));
+        let taken = self.photograph(exposure_s, stem);
+        self.seen = None;
+        taken
+    }
+
     /// The levels of one photograph, RGB row by row, as [`Camera::photograph`] writes them. Each call has new noise.
     pub fn levels(&mut self, exposure_s: f64) -> Vec<u8> {
         let pose = self.pose();

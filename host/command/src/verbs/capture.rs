@@ -1,5 +1,82 @@
-use crate::arguments::Capture;
-use rigel::Result;
-pub fn capture(_a: &Capture) -> Result<()> {
+//! `rigel capture`: a rig and a camera make a session.
+
+use glam::DVec3;
+use rigel::capture::{self, Plan, add_views, plan};
+use rigel::rig::Rig;
+use rigel::sampling::{icosphere_near, latitude_longitude_near, spiral, stratified, tour};
+use rigel::session::{Manifest, Session};
+use rigel::{Error, Result};
+
+use crate::arguments::{Capture, SamplingChoice};
+use crate::devices::Devices;
+use crate::progress::Bar;
+
+/// `rigel capture`.
+pub fn capture(arguments: &Capture) -> Result<()> {
+    let mut devices = Devices::open(&arguments.rig, arguments.camera)?;
+    let longest_s = arguments.longest_exposure;
+    let (manifest, done) = if arguments.resume {
+        let session = Session::open(&arguments.session)?;
+        (session.manifest.clone(), session.done_views())
+    } else {
+        (new_manifest(&devices, &directions(arguments)?)?, vec![])
+    };
+    let plan = plan(&manifest, &done, &devices.rig, &devices.camera, longest_s)?;
+    say(&plan);
+    if arguments.dry_run {
+        return Ok(());
+    }
+    let mut session = if arguments.resume {
+        Session::open(&arguments.session)?
+    } else {
+        Session::create(&arguments.session, manifest)?
+    };
+    if session.flats()?.is_empty() {
+        devices.photograph_flats(session.folder())?;
+    }
+    capture::capture(&mut session, &mut devices.rig, &mut devices.camera, longest_s, &Bar::new("capturing"))
+        .inspect_err(|error| {
+            if matches!(error, Error::Interrupted) {
+                eprintln!("go on with: rigel capture {} --resume", arguments.session.display());
+            }
+        })?;
+    let photographs: usize = session.done_views().iter().map(|&view| session.photographs(view).len()).sum();
+    println!(
+        "wrote {}: {} views, {photographs} photographs",
+        arguments.session.display(),
+        session.done_views().len()
+    );
     Ok(())
+}
+
+fn directions(arguments: &Capture) -> Result<Vec<DVec3>> {
+    let (count, limit_rad) = (arguments.views, arguments.zenith_limit.to_radians());
+    match arguments.sampling {
+        SamplingChoice::Spiral => spiral(count, limit_rad),
+        SamplingChoice::Icosphere => icosphere_near(count, limit_rad),
+        SamplingChoice::LatitudeLongitude => latitude_longitude_near(count, limit_rad),
+        SamplingChoice::Stratified => stratified(count, limit_rad, arguments.seed),
+    }
+}
+
+/// A session of these directions, in the order of a short tour.
+pub fn new_manifest(devices: &Devices, directions: &[DVec3]) -> Result<Manifest> {
+    let mut manifest = Manifest {
+        distance_m: Some(devices.distance_m),
+        surface: Some(devices.surface),
+        lenses: vec![devices.lens],
+        ..Manifest::new(devices.describe())
+    };
+    add_views(&mut manifest, &tour(directions, &devices.rig.limits())?);
+    Ok(manifest)
+}
+
+fn say(plan: &Plan) {
+    println!(
+        "{} views to photograph: at most {} photographs, {:.0} minutes and {:.1} MB",
+        plan.views,
+        plan.most_photographs,
+        (plan.most_seconds / 60.0).ceil(),
+        plan.most_bytes as f64 / 1e6
+    );
 }
