@@ -34,8 +34,10 @@ pub struct Measured {
     pub written: usize,
     /// How many had been written before, in the same way, and were kept.
     pub kept: usize,
-    /// Part of all pixels that no photograph measured.
-    pub unmeasured: f64,
+    /// Part of the pixels written now that every photograph saturated.
+    pub saturated: f64,
+    /// Part of the pixels written now that were too dark in every photograph.
+    pub dark: f64,
     /// Residual of the flat fields, relative; `None` when the session has none.
     pub vignetting_residual: Option<f64>,
 }
@@ -82,8 +84,8 @@ pub fn measure(session: &Session, choice: &ResponseChoice, progress: &dyn Progre
     start_afresh_unless_same(session, &folder, &views, &format!("{choice:?} {noise:?} {vignetting:?}"))?;
     response.write_csv(&folder.join("response.csv"))?;
     let description = format!("{choice:?}");
-    let (done, written, unmeasured) = (AtomicUsize::new(looked_at), AtomicUsize::new(0), AtomicUsize::new(0));
-    let pixels = first.width as usize * first.height as usize;
+    let (done, written) = (AtomicUsize::new(looked_at), AtomicUsize::new(0));
+    let [pixels, saturated, dark] = [const { AtomicUsize::new(0) }; 3];
     views.par_iter().try_for_each(|&view| {
         let path = session.radiance_path(view);
         if !path.is_file() {
@@ -91,17 +93,23 @@ pub fn measure(session: &Session, choice: &ResponseChoice, progress: &dyn Progre
             if let Some(vignetting) = &vignetting {
                 vignetting.correct(&mut image)?;
             }
-            unmeasured.fetch_add(count_unmeasured(&image), Ordering::Relaxed);
+            let count = |flag| image.mask.iter().filter(|&&mask| mask & flag != 0).count();
+            saturated.fetch_add(count(RadianceImage::SATURATED), Ordering::Relaxed);
+            dark.fetch_add(count(RadianceImage::DARK), Ordering::Relaxed);
+            pixels.fetch_add(image.mask.len(), Ordering::Relaxed);
             image.write_exr(&path, &description)?;
             written.fetch_add(1, Ordering::Relaxed);
         }
         progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, total)
     })?;
     let written = written.into_inner();
+    let pixels = pixels.into_inner().max(1);
+    let part = |count: AtomicUsize| count.into_inner() as f64 / pixels as f64;
     Ok(Measured {
         written,
         kept: views.len() - written,
-        unmeasured: unmeasured.into_inner() as f64 / (pixels * written.max(1)) as f64,
+        saturated: part(saturated),
+        dark: part(dark),
         vignetting_residual: vignetting.map(|vignetting| vignetting.residual),
     })
 }
@@ -150,8 +158,4 @@ fn start_afresh_unless_same(session: &Session, folder: &Path, views: &[usize], c
         }
     }
     file::write_bytes(&path, now.as_bytes())
-}
-
-fn count_unmeasured(image: &RadianceImage) -> usize {
-    image.mask.iter().filter(|&&mask| mask != 0).count()
 }

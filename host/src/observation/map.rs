@@ -171,6 +171,21 @@ impl ObservationMap {
         &self.path
     }
 
+    /// Part of the observations (texels times views) that are absent: saturated, too dark, or not in the picture.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the file cannot be mapped.
+    pub fn absent(&self) -> Result<f64> {
+        let (mut present, mut all) = (0, 0);
+        for tile in 0..self.header.tiles().count() {
+            for (_, texel) in self.tile(tile)? {
+                present += texel.len();
+                all += self.header.views.len();
+            }
+        }
+        Ok(1.0 - present as f64 / all.max(1) as f64)
+    }
+
     /// The texels of one tile, (column, row) with their observations.
     ///
     /// # Errors

@@ -100,7 +100,10 @@ pub fn demo(arguments: &Demo) -> Result<()> {
         ("source", session.manifest.source.clone()),
         ("views", format!("{seen}, and {HELD_OUT} held out")),
         ("photographs", photographs.to_string()),
-        ("pixels not measured", format!("{:.2} %", 100.0 * measured.unmeasured)),
+        (
+            "observations absent (saturated, dark or outside the picture)",
+            format!("{:.2} %", 100.0 * observations.absent()?),
+        ),
         (
             "flat fields against the vignetting model",
             format!("{:.2} %", 100.0 * measured.vignetting_residual.unwrap_or_default()),

@@ -58,11 +58,12 @@ pub fn radiance(arguments: &Radiance) -> Result<()> {
         println!("vignetting: flat fields agree with the model within {:.2} %", 100.0 * residual);
     }
     println!(
-        "wrote {}: {} views now, {} kept, {:.2} % of the new pixels could not be measured",
+        "wrote {}: {} views now, {} kept; of the new pixels {:.2} % are saturated and {:.2} % too dark in every photograph",
         session.radiance_folder().display(),
         measured.written,
         measured.kept,
-        100.0 * measured.unmeasured
+        100.0 * measured.saturated,
+        100.0 * measured.dark
     );
     Ok(())
 }
@@ -80,12 +81,13 @@ pub fn observe(arguments: &Observe) -> Result<()> {
         println!("note: exposure times are unknown; gains: {}", gains.join(", "));
     }
     println!(
-        "wrote {}: {}x{} texels, {} views, {:.1} MB",
+        "wrote {}: {}x{} texels, {} views, {:.1} MB; {:.2} % of the observations are absent",
         out.display(),
         header.texels.columns,
         header.texels.rows,
         header.views.len(),
-        header.file_bytes() as f64 / 1e6
+        header.file_bytes() as f64 / 1e6,
+        100.0 * map.absent()?
     );
     Ok(())
 }
