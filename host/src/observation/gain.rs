@@ -61,7 +61,7 @@ mod tests {
                 let albedo = 0.1 + 0.004 * texel as f32;
                 let radiance =
                     |view: usize| albedo + if texel % 4 == view && texel % 3 == 0 { 5.0 } else { 0.0 };
-                let absent = |view: usize| (texel + view) % 7 == 0;
+                let absent = |view: usize| (texel + view).is_multiple_of(7);
                 (0..4)
                     .map(|view| if absent(view) { f32::NAN } else { (radiance(view) * truth[view]).ln() })
                     .collect()

@@ -149,7 +149,11 @@ impl ObservationMap {
                 header.format
             )));
         }
-        if header.texels.count() == 0 || header.tile.count() == 0 || !(header.unit > 0.0) {
+        if header.texels.count() == 0
+            || header.tile.count() == 0
+            || header.unit.is_nan()
+            || header.unit <= 0.0
+        {
             return Err(strange("has a damaged header (no texels, tile or unit)".into()));
         }
         if header.file_bytes() != length {

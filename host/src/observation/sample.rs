@@ -82,9 +82,11 @@ fn bilinear(image: &RadianceImage, pixel: DVec2) -> Option<([f32; 3], f32)> {
         if image.mask[index] != 0 {
             return None;
         }
-        for channel in 0..3 {
-            radiance[channel] += weight * image.radiance[index][channel];
-            variance += weight * weight * image.variance[index][channel] / 3.0;
+        for ((sum, value), spread) in
+            radiance.iter_mut().zip(image.radiance[index]).zip(image.variance[index])
+        {
+            *sum += weight * value;
+            variance += weight * weight * spread / 3.0;
         }
     }
     Some((radiance, variance))

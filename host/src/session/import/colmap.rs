@@ -148,7 +148,7 @@ fn read_images(path: &Path, cameras: &BTreeMap<u32, Lens>) -> Result<Vec<Image>>
         let lens =
             *cameras.get(&camera).ok_or_else(|| wrong(format!("camera {camera} is not in cameras.txt")))?;
         let rotation = DQuat::from_xyzw(x, y, z, w);
-        if !(rotation.length() > 1e-6) {
+        if rotation.length().is_nan() || rotation.length() <= 1e-6 {
             return Err(wrong("its quaternion has no length".into()));
         }
         let camera_from_surface = rotation.normalize();
