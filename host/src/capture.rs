@@ -34,11 +34,17 @@ pub fn add_views(manifest: &mut Manifest, stops: &[Stop]) {
     }
 }
 
-/// The times of a bracket: `longest_s`, halved as often as the camera can follow.
+/// The times of a bracket: the manifest's longest time, halved as often as the camera can follow.
 ///
 /// # Errors
-/// [`Error::Request`] when the camera cannot take `longest_s`.
-pub fn bracket(camera: &dyn Camera, longest_s: f64) -> Result<Vec<f64>> {
+/// [`Error::Request`] when the manifest has no longest time or the camera cannot take it.
+pub fn bracket(manifest: &Manifest, camera: &dyn Camera) -> Result<Vec<f64>> {
+    let longest_s = manifest.longest_exposure_s.ok_or_else(|| {
+        Error::request(
+            "the session does not say with which exposure time a view begins",
+            "capture into a session that `rigel capture` started",
+        )
+    })?;
     let [shortest, longest] = camera.exposure_range_s();
     if !(shortest..=longest).contains(&longest_s) {
         return Err(Error::request(
@@ -55,14 +61,8 @@ pub fn bracket(camera: &dyn Camera, longest_s: f64) -> Result<Vec<f64>> {
 ///
 /// # Errors
 /// [`Error::Request`] naming the first view that the rig cannot reach, or a time that the camera cannot take.
-pub fn plan(
-    manifest: &Manifest,
-    done: &[usize],
-    rig: &dyn Rig,
-    camera: &dyn Camera,
-    longest_s: f64,
-) -> Result<Plan> {
-    let times = bracket(camera, longest_s)?;
+pub fn plan(manifest: &Manifest, done: &[usize], rig: &dyn Rig, camera: &dyn Camera) -> Result<Plan> {
+    let times = bracket(manifest, camera)?;
     let limits = rig.limits();
     let (mut at, mut travel_s, mut views) = ([0.0; 2], 0.0, 0);
     for index in (0..manifest.views.len()).filter(|index| !done.contains(index)) {
@@ -104,11 +104,10 @@ pub fn capture(
     session: &mut Session,
     rig: &mut dyn Rig,
     camera: &mut dyn Camera,
-    longest_s: f64,
     progress: &dyn Progress,
 ) -> Result<()> {
-    let times = bracket(camera, longest_s)?;
-    plan(&session.manifest, &session.done_views(), rig, camera, longest_s)?;
+    let times = bracket(&session.manifest, camera)?;
+    plan(&session.manifest, &session.done_views(), rig, camera)?;
     let total = session.manifest.views.len();
     for view in 0..total {
         progress.step(view, total)?;

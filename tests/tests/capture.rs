@@ -36,7 +36,8 @@ fn camera(rig: &SimulatedRig) -> SimulatedCamera<impl Fn() -> (f64, f64) + use<>
 }
 
 fn manifest(rig: &dyn Rig) -> Manifest {
-    let mut manifest = Manifest { distance_m: Some(0.9), ..Manifest::new("simulated") };
+    let mut manifest =
+        Manifest { distance_m: Some(0.9), longest_exposure_s: Some(LONGEST_S), ..Manifest::new("simulated") };
     let directions = icosphere(1, 1.2).unwrap();
     add_views(&mut manifest, &tour(&directions, &rig.limits()).unwrap());
     assert_eq!(manifest.views.len(), VIEWS);
@@ -55,7 +56,7 @@ fn resume_and_check(folder: &Path, before: &BTreeMap<String, Vec<u8>>) {
     let simulated = rig(Faults::default());
     let mut serial = SerialRig::open(simulated.port_name()).unwrap();
     let mut session = Session::open(folder).unwrap();
-    capture(&mut session, &mut serial, &mut camera(&simulated), LONGEST_S, &Silent).unwrap();
+    capture(&mut session, &mut serial, &mut camera(&simulated), &Silent).unwrap();
     let session = Session::open(folder).unwrap();
     assert_eq!(session.done_views().len(), VIEWS);
     let after = finished(&session);
@@ -72,7 +73,7 @@ fn a_bracket_ends_with_the_first_photograph_that_is_not_saturated() {
     let simulated = rig(Faults::default());
     let mut serial = SerialRig::open(simulated.port_name()).unwrap();
     let mut session = Session::create(&folder.path().join("s"), manifest(&serial)).unwrap();
-    capture(&mut session, &mut serial, &mut camera(&simulated), LONGEST_S, &Silent).unwrap();
+    capture(&mut session, &mut serial, &mut camera(&simulated), &Silent).unwrap();
     for view in 0..VIEWS {
         let photographs = session.photographs(view);
         let saturated =
@@ -95,7 +96,7 @@ fn an_unplugged_rig_is_named_and_the_session_resumes() {
     let simulated = rig(Faults { unplug_after: Some(30), ..Faults::default() });
     let mut serial = SerialRig::open(simulated.port_name()).unwrap();
     let mut session = Session::create(&folder, manifest(&serial)).unwrap();
-    let error = capture(&mut session, &mut serial, &mut camera(&simulated), LONGEST_S, &Silent).unwrap_err();
+    let error = capture(&mut session, &mut serial, &mut camera(&simulated), &Silent).unwrap_err();
     assert!(error.to_string().contains(simulated.port_name()), "{error}");
     let before = finished(&session);
     assert!(!before.is_empty() && session.done_views().len() < VIEWS);
@@ -121,8 +122,7 @@ fn an_interrupt_at_any_step_leaves_a_session_that_resumes() {
         let mut serial = SerialRig::open(simulated.port_name()).unwrap();
         let mut session = Session::create(&folder, manifest(&serial)).unwrap();
         let progress = InterruptAfter(AtomicUsize::new(step));
-        let error =
-            capture(&mut session, &mut serial, &mut camera(&simulated), LONGEST_S, &progress).unwrap_err();
+        let error = capture(&mut session, &mut serial, &mut camera(&simulated), &progress).unwrap_err();
         assert!(matches!(error, Error::Interrupted));
         let before = finished(&session);
         drop((session, serial, simulated));
@@ -137,12 +137,13 @@ fn what_cannot_be_done_is_refused_before_anything_moves() {
     let camera = camera(&simulated);
     let mut beyond = manifest(&serial);
     beyond.views[3].tilt_deg = Some(120.0);
-    let error = plan(&beyond, &[], &serial, &camera, LONGEST_S).unwrap_err().to_string();
+    let error = plan(&beyond, &[], &serial, &camera).unwrap_err().to_string();
     assert!(error.contains("view003") && error.contains("120.0"), "{error}");
-    let error = bracket(&camera, 99.0).unwrap_err().to_string();
+    let long = Manifest { longest_exposure_s: Some(99.0), ..manifest(&serial) };
+    let error = bracket(&long, &camera).unwrap_err().to_string();
     assert!(error.contains("99 s"), "{error}");
-    let all = plan(&manifest(&serial), &[], &serial, &camera, LONGEST_S).unwrap();
-    let rest = plan(&manifest(&serial), &[0, 1, 2], &serial, &camera, LONGEST_S).unwrap();
+    let all = plan(&manifest(&serial), &[], &serial, &camera).unwrap();
+    let rest = plan(&manifest(&serial), &[0, 1, 2], &serial, &camera).unwrap();
     assert_eq!((all.views, rest.views), (VIEWS, VIEWS - 3));
     assert!(rest.most_seconds < all.most_seconds && rest.most_bytes < all.most_bytes);
     assert_eq!(all.most_bytes, all.most_photographs as u64 * camera.file_size_bytes());

@@ -8,7 +8,7 @@ use rigel::units::{parse_length_m, parse_surface, parse_texels};
 
 /// Captures how a surface looks from every direction and fits the smallest model that reproduces it.
 #[derive(Parser)]
-#[command(version, about, arg_required_else_help = true)]
+#[command(version, arg_required_else_help = true)]
 pub struct Arguments {
     #[command(subcommand)]
     pub verb: Verb,

@@ -22,6 +22,9 @@ pub struct Manifest {
     /// Distance from the rig's centre to the camera.
     #[serde(rename = "distance", default, skip_serializing_if = "Option::is_none", with = "optional_length")]
     pub distance_m: Option<f64>,
+    /// The first exposure time of each view, seconds, where a capture takes the photographs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub longest_exposure_s: Option<f64>,
     /// The sampled area.
     #[serde(default, skip_serializing_if = "Option::is_none", with = "surface")]
     pub surface: Option<Surface>,
@@ -60,6 +63,7 @@ impl Manifest {
             format: FORMAT,
             source: source.into(),
             distance_m: None,
+            longest_exposure_s: None,
             surface: None,
             lenses: vec![],
             views: vec![],

@@ -14,16 +14,15 @@ use crate::progress::Bar;
 /// `rigel capture`.
 pub fn capture(arguments: &Capture) -> Result<()> {
     let mut devices = Devices::open(&arguments.rig, arguments.camera)?;
-    let longest_s = arguments.longest_exposure;
     let (manifest, done) = if arguments.resume {
         let session = Session::open(&arguments.session)?;
         (session.manifest.clone(), session.done_views())
     } else {
-        (new_manifest(&devices, &directions(arguments)?)?, vec![])
+        (new_manifest(&devices, &directions(arguments)?, arguments.longest_exposure)?, vec![])
     };
-    let plan = plan(&manifest, &done, &devices.rig, &devices.camera, longest_s)?;
-    say(&plan);
+    let plan = plan(&manifest, &done, &devices.rig, &devices.camera)?;
     if arguments.dry_run {
+        say(&plan);
         return Ok(());
     }
     let mut session = if arguments.resume {
@@ -31,10 +30,11 @@ pub fn capture(arguments: &Capture) -> Result<()> {
     } else {
         Session::create(&arguments.session, manifest)?
     };
+    say(&plan);
     if session.flats()?.is_empty() {
         devices.photograph_flats(session.folder())?;
     }
-    capture::capture(&mut session, &mut devices.rig, &mut devices.camera, longest_s, &Bar::new("capturing"))
+    capture::capture(&mut session, &mut devices.rig, &mut devices.camera, &Bar::new("capturing"))
         .inspect_err(|error| {
             if matches!(error, Error::Interrupted) {
                 eprintln!("go on with: rigel capture {} --resume", arguments.session.display());
@@ -60,9 +60,10 @@ fn directions(arguments: &Capture) -> Result<Vec<DVec3>> {
 }
 
 /// A session of these directions, in the order of a short tour.
-pub fn new_manifest(devices: &Devices, directions: &[DVec3]) -> Result<Manifest> {
+pub fn new_manifest(devices: &Devices, directions: &[DVec3], longest_exposure_s: f64) -> Result<Manifest> {
     let mut manifest = Manifest {
         distance_m: Some(devices.distance_m),
+        longest_exposure_s: Some(longest_exposure_s),
         surface: Some(devices.surface),
         lenses: vec![devices.lens],
         ..Manifest::new(devices.describe())
@@ -73,7 +74,7 @@ pub fn new_manifest(devices: &Devices, directions: &[DVec3]) -> Result<Manifest>
 
 fn say(plan: &Plan) {
     println!(
-        "{} views to photograph: at most {} photographs, {:.0} minutes and {:.1} MB",
+        "{} views to photograph: at most {} photographs, {:.0} min and {:.1} MB",
         plan.views,
         plan.most_photographs,
         (plan.most_seconds / 60.0).ceil(),

@@ -55,15 +55,10 @@ pub fn demo(arguments: &Demo) -> Result<()> {
     let stops = tour(&directions, &devices.rig.limits())?;
     let held_out: Vec<usize> = (0..stops.len()).filter(|&stop| stops[stop].view >= seen).collect();
 
-    let mut session = Session::create(&out.join("session"), new_manifest(&devices, &directions)?)?;
+    let mut session =
+        Session::create(&out.join("session"), new_manifest(&devices, &directions, LONGEST_EXPOSURE_S)?)?;
     devices.photograph_flats(session.folder())?;
-    capture::capture(
-        &mut session,
-        &mut devices.rig,
-        &mut devices.camera,
-        LONGEST_EXPOSURE_S,
-        &Bar::new("capturing"),
-    )?;
+    capture::capture(&mut session, &mut devices.rig, &mut devices.camera, &Bar::new("capturing"))?;
     let photographs: usize = session.done_views().iter().map(|&view| session.photographs(view).len()).sum();
     println!("captured {seen} views and {HELD_OUT} that no fit will see: {photographs} photographs");
 
