@@ -7,7 +7,7 @@ use std::path::Path;
 
 use rigel::calibration::Vignetting;
 use rigel::picture::Picture;
-use rigel::radiance::{RadianceImage, Samples, Stack, merge};
+use rigel::radiance::{RadianceImage, Response, Samples, Stack, merge};
 use rigel_tests::data;
 
 /// The 16 photographs of the memorial church; `memorial.txt` lists one over the exposure time.
@@ -22,11 +22,11 @@ fn memorial(folder: &Path) -> Stack {
     Stack::new(pictures, lines.iter().map(|(_, time_s)| *time_s).collect()).unwrap()
 }
 
-/// A Radiance picture whose first line is `#?RGBE`, as the authors' own is.
-fn reference(path: &Path) -> image::Rgb32FImage {
-    let file = std::io::BufReader::new(std::fs::File::open(path).unwrap());
-    let decoder = image::codecs::hdr::HdrDecoder::new_nonstrict(file).unwrap();
-    image::DynamicImage::from_decoder(decoder).unwrap().to_rgb32f()
+/// The radiance of a picture of floating-point numbers.
+fn reference(path: &Path) -> Vec<[f32; 3]> {
+    let picture = Picture::read(path).unwrap();
+    let numbers = Response::linear(picture.white);
+    picture.levels.iter().map(|rgb| rgb.map(|level| numbers.exposure(1)[usize::from(level)])).collect()
 }
 
 /// How far a radiance map contradicts the photographs it stands for, whatever the response: where a photograph shows
@@ -97,8 +97,7 @@ fn the_memorial_church_explains_its_photographs() {
     println!("{noise:?}");
     let merged = merge(&stack, &response, &noise).unwrap();
     let reference = reference(&folder.join("memorial_debevec_reference.hdr"));
-    assert_eq!((merged.width, merged.height), reference.dimensions());
-    let reference: Vec<[f32; 3]> = reference.pixels().map(|p| p.0).collect();
+    assert_eq!(merged.radiance.len(), reference.len());
 
     let (ours, theirs) = (contradiction(&stack, &merged.radiance), contradiction(&stack, &reference));
     println!("memorial: ours contradicts the photographs by {ours:.2?} stops");
@@ -142,7 +141,7 @@ fn the_memorial_church_explains_its_photographs() {
         100.0 * all,
         100.0 * consistent
     );
-    assert!(all >= 0.73, "{all}");
+    assert!(all >= 0.74, "{all}");
     assert!(consistent >= 0.96, "{consistent}");
 }
 
