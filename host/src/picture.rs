@@ -28,14 +28,18 @@ impl Picture {
     /// 9 decades, and [`Response::linear`](crate::radiance::Response::linear) turns them back into numbers.
     pub const FLOAT_WHITE: u16 = 0x7bff;
 
-    /// Reads a JPEG, PNG, TIFF, Radiance HDR or OpenEXR picture. Levels are taken as they stand: EXIF orientation and
+    /// Reads a JPEG, PNG, TIFF, Radiance HDR (either signature) or OpenEXR picture. Levels are taken as they stand: EXIF orientation and
     /// colour profiles are ignored, since lens and response belong to the sensor. Grey pictures get three equal channels.
     ///
     /// # Errors
     /// [`Error::Io`] where the file cannot be read, [`Error::Input`] where it is not a picture or is cut short.
     pub fn read(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
-        let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
+        let mut bytes = std::fs::read(path).map_err(Error::io("read", path))?;
+        if bytes.starts_with(b"#?RGBE") {
+            // The other signature of Radiance pictures, which the decoder does not know.
+            bytes.splice(2..6, *b"RADIANCE");
+        }
         if bytes.starts_with(&[0xff, 0xd8]) && !jpeg_is_complete(&bytes) {
             // The decoder would fill what is missing with grey.
             return Err(Error::input(path, "the photograph is cut short", "copy it from the camera again"));
@@ -153,6 +157,29 @@ mod tests {
                 assert_eq!(level[2], 0);
             }
         }
+    }
+
+    #[test]
+    fn radiance_pictures_are_read_under_both_signatures() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.hdr");
+        let value = |x: u32, y: u32| 1e-3 * 1.5f32.powi((x + 3 * y) as i32);
+        let image =
+            ::image::Rgb32FImage::from_fn(12, 5, |x, y| ::image::Rgb([value(x, y), 0.0, value(x, y)]));
+        image.save(&path).unwrap();
+        let picture = Picture::read(&path).unwrap();
+        assert_eq!((picture.width, picture.height, picture.white), (12, 5, Picture::FLOAT_WHITE));
+        for y in 0..5 {
+            for x in 0..12 {
+                let [r, g, _] = picture.levels[(y * 12 + x) as usize];
+                assert!((f16::from_bits(r).to_f32() / value(x, y) - 1.0).abs() < 0.01 && g == 0);
+            }
+        }
+        let bytes = std::fs::read(&path).unwrap();
+        let signature = b"#?RADIANCE";
+        assert!(bytes.starts_with(signature));
+        std::fs::write(&path, [b"#?RGBE", &bytes[signature.len()..]].concat()).unwrap();
+        assert_eq!(Picture::read(&path).unwrap(), picture);
     }
 
     #[test]

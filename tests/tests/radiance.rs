@@ -7,7 +7,7 @@ use std::path::Path;
 
 use rigel::calibration::Vignetting;
 use rigel::picture::Picture;
-use rigel::radiance::{RadianceImage, Samples, Stack, merge};
+use rigel::radiance::{RadianceImage, Response, Samples, Stack, merge};
 use rigel_tests::data;
 
 /// The 16 photographs of the memorial church; `memorial.txt` lists one over the exposure time.
@@ -22,11 +22,11 @@ fn memorial(folder: &Path) -> Stack {
     Stack::new(pictures, lines.iter().map(|(_, time_s)| *time_s).collect()).unwrap()
 }
 
-/// A Radiance picture whose first line is `#?RGBE`, as the authors' own is.
-fn reference(path: &Path) -> image::Rgb32FImage {
-    let file = std::io::BufReader::new(std::fs::File::open(path).unwrap());
-    let decoder = image::codecs::hdr::HdrDecoder::new_nonstrict(file).unwrap();
-    image::DynamicImage::from_decoder(decoder).unwrap().to_rgb32f()
+/// The radiance of a picture of floating-point numbers.
+fn reference(path: &Path) -> Vec<[f32; 3]> {
+    let picture = Picture::read(path).unwrap();
+    let numbers = Response::linear(picture.white);
+    picture.levels.iter().map(|rgb| rgb.map(|level| numbers.exposure(1)[usize::from(level)])).collect()
 }
 
 /// How far a radiance map contradicts the photographs it stands for, whatever the response: where a photograph shows
@@ -47,11 +47,45 @@ fn contradiction(stack: &Stack, radiance: &[[f32; 3]]) -> Vec<f64> {
     medians.iter().map(|m| m - middle).collect()
 }
 
-/// The map that the authors published agrees in the middle of its range only. Neighbouring photographs are one stop
-/// apart by the list of times, and level 100 in one is level 68 to 70 in the next throughout, yet the map puts their
-/// pixels two thirds of a stop apart: five stops are missing between the longest and the shortest. (Hat weights count
-/// levels that are the film's fog, 19 and 20 in eleven photographs of a dark pixel, and draw dark pixels up.) So the
-/// photographs themselves are the judge here, and the published map where it is consistent with them.
+/// How badly a radiance map foretells a photograph that it is asked about, whatever the response: a pixel's level is
+/// foretold by the mean level that the other photographs show at the same radiance x time, within an eighth of a stop.
+/// Green; mean of the absolute error over the pixels that `choose` takes, in levels.
+fn misprediction(stack: &Stack, held: usize, radiance: &[[f32; 3]], choose: impl Fn(usize) -> bool) -> f64 {
+    let bin = |r: f32, time_s: f64| ((f64::from(r).max(1e-9) * time_s).log2() * 8.0 + 400.0) as usize;
+    let (mut sum, mut count) = (vec![0.0; 800], vec![0.0; 800]);
+    for (j, (picture, &time_s)) in stack.pictures.iter().zip(&stack.exposure_s).enumerate() {
+        if j != held {
+            for (level, r) in picture.levels.iter().zip(radiance).step_by(STRIDE) {
+                sum[bin(r[1], time_s)] += f64::from(level[1]);
+                count[bin(r[1], time_s)] += 1.0;
+            }
+        }
+    }
+    let errors = (0..radiance.len()).step_by(STRIDE).filter(|&i| choose(i)).filter_map(|i| {
+        let at = bin(radiance[i][1], stack.exposure_s[held]);
+        (count[at] > 0.0).then(|| (sum[at] / count[at] - f64::from(stack.pictures[held].levels[i][1])).abs())
+    });
+    let errors: Vec<f64> = errors.collect();
+    errors.iter().sum::<f64>() / errors.len() as f64
+}
+
+/// Every seventh pixel is enough to judge by.
+const STRIDE: usize = 7;
+
+/// A stack without one of its photographs.
+fn without(stack: &Stack, held: usize) -> Stack {
+    let rest = stack.pictures.iter().cloned().zip(stack.exposure_s.iter().copied()).enumerate();
+    let (pictures, times) = rest.filter(|(j, _)| *j != held).map(|(_, pair)| pair).unzip();
+    Stack::new(pictures, times).unwrap()
+}
+
+/// The map that the authors published agrees in the middle of its range only, and no merge that takes the photographs
+/// at their word can agree with all of it. Neighbouring photographs are one stop apart by the list of times, and the
+/// levels of a pixel of any brightness are one and the same series (.. 206 153 107 76 51 35 25 20 18 ..), a photograph
+/// later for each stop; yet the map counts a photograph as two thirds of a stop at its dark end and half a stop at its
+/// bright end: five stops are missing in all. (Hat weights over all levels count the film's fog, 18 to 20 in eleven
+/// photographs of a dark pixel, as if it were light. OpenCV does so too, and meets 95 % of the map.) So photographs
+/// that a merge has not seen are the judge here, and the published map only where it is consistent with them.
 #[test]
 fn the_memorial_church_explains_its_photographs() {
     let Some(folder) = data("hdr/memorial") else { return };
@@ -63,13 +97,30 @@ fn the_memorial_church_explains_its_photographs() {
     println!("{noise:?}");
     let merged = merge(&stack, &response, &noise).unwrap();
     let reference = reference(&folder.join("memorial_debevec_reference.hdr"));
-    assert_eq!((merged.width, merged.height), reference.dimensions());
-    let reference: Vec<[f32; 3]> = reference.pixels().map(|p| p.0).collect();
+    assert_eq!(merged.radiance.len(), reference.len());
 
     let (ours, theirs) = (contradiction(&stack, &merged.radiance), contradiction(&stack, &reference));
     println!("memorial: ours contradicts the photographs by {ours:.2?} stops");
     println!("memorial: the published map by {theirs:.2?} stops");
     assert!(ours.iter().all(|m| m.abs() < 0.3), "{ours:?}");
+
+    // Ours has not seen the photograph that it foretells; the published map has. In the sixth photograph the dark
+    // pixels are fog, about which nothing can be told.
+    for held in 0..5 {
+        let unseen = merge(&without(&stack, held), &response, &noise).unwrap();
+        let dark = |i: usize| stack.pictures[0].levels[i][1] < 100;
+        let [ours, theirs, ours_dark, theirs_dark] = [
+            misprediction(&stack, held, &unseen.radiance, |_| true),
+            misprediction(&stack, held, &reference, |_| true),
+            misprediction(&stack, held, &unseen.radiance, dark),
+            misprediction(&stack, held, &reference, dark),
+        ];
+        println!(
+            "memorial: photograph {held} foretold within {ours:.1} levels, by the published map {theirs:.1}; \
+             its darkest sixth {ours_dark:.1} and {theirs_dark:.1}"
+        );
+        assert!(ours < 0.9 * theirs && ours_dark < 0.7 * theirs_dark, "{held}");
+    }
 
     let luminance = |c: [f32; 3]| f64::from(0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2]);
     let pairs: Vec<(f64, f64)> = merged
@@ -90,6 +141,7 @@ fn the_memorial_church_explains_its_photographs() {
         100.0 * all,
         100.0 * consistent
     );
+    assert!(all >= 0.74, "{all}");
     assert!(consistent >= 0.96, "{consistent}");
 }
 
