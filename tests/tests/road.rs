@@ -144,16 +144,11 @@ fn median(mut values: Vec<f64>) -> f64 {
 #[test]
 fn photographs_of_one_lobe_predict_views_that_nobody_took() {
     let scene = Scene::one_lobe();
-    let lens = camera::Options::default().lens.scaled_to(160, 120);
-    let options = camera::Options {
-        lens,
-        noise: false,
-        vignetting: false,
-        jpeg_quality: None,
-        ..camera::Options::default()
-    };
+    let lens = camera::Options::default().lens;
+    let options =
+        camera::Options { noise: false, vignetting: false, jpeg_quality: None, ..camera::Options::default() };
     let folder = tempfile::tempdir().unwrap();
-    let table = photograph(&scene, options, &views(40), folder.path());
+    let table = photograph(&scene, options, &views(73), folder.path());
     let session = measured(folder.path(), &table, &lens, scene.surface());
     let camera = SimulatedCamera::new(scene.clone(), options, || (0.0, 0.0));
     let response = response_error(&session, |exposure| camera.response(exposure));
@@ -161,7 +156,7 @@ fn photographs_of_one_lobe_predict_views_that_nobody_took() {
     assert!(response <= 0.02, "{response}");
 
     let path = session.folder().join("observations.rigel");
-    let texels = observation::Options { texels: Texels { columns: 64, rows: 48 } };
+    let texels = observation::Options { texels: Texels { columns: 96, rows: 72 } };
     let map = observe(&session, &path, &texels, &Silent).unwrap();
     let fitted = fit_surface(&map, PHONG, &FitOptions::default(), &[], &Silent).unwrap();
     let references: Vec<Reference> = [(0.3, 0.2), (2.0, 0.5), (4.5, 0.8), (5.5, 1.0)]
