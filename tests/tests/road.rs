@@ -144,11 +144,11 @@ fn median(mut values: Vec<f64>) -> f64 {
 #[test]
 fn photographs_of_one_lobe_predict_views_that_nobody_took() {
     let scene = Scene::one_lobe();
-    let lens = camera::Options::default().lens;
-    let options =
-        camera::Options { noise: false, vignetting: false, jpeg_quality: None, ..camera::Options::default() };
+    let ideal = camera::Options::default();
+    let lens = ideal.lens.scaled_to(240, 180);
+    let options = camera::Options { lens, noise: false, vignetting: false, jpeg_quality: None, ..ideal };
     let folder = tempfile::tempdir().unwrap();
-    let table = photograph(&scene, options, &views(73), folder.path());
+    let table = photograph(&scene, options, &views(60), folder.path());
     let session = measured(folder.path(), &table, &lens, scene.surface());
     let camera = SimulatedCamera::new(scene.clone(), options, || (0.0, 0.0));
     let response = response_error(&session, |exposure| camera.response(exposure));
@@ -156,7 +156,7 @@ fn photographs_of_one_lobe_predict_views_that_nobody_took() {
     assert!(response <= 0.02, "{response}");
 
     let path = session.folder().join("observations.rigel");
-    let texels = observation::Options { texels: Texels { columns: 96, rows: 72 } };
+    let texels = observation::Options { texels: Texels { columns: 80, rows: 60 } };
     let map = observe(&session, &path, &texels, &Silent).unwrap();
     let fitted = fit_surface(&map, PHONG, &FitOptions::default(), &[], &Silent).unwrap();
     let references: Vec<Reference> = [(0.3, 0.2), (2.0, 0.5), (4.5, 0.8), (5.5, 1.0)]
@@ -173,7 +173,9 @@ fn photographs_of_one_lobe_predict_views_that_nobody_took() {
         evaluation.mean_255(),
         evaluation.psnr_db()
     );
-    assert!(evaluation.median_relative() < 0.02 && evaluation.mean_255() < 1.5, "{:?}", evaluation.views);
+    // What is left is the texture between texels and the sharpest lobes between views.
+    assert!(evaluation.median_relative() < 0.02 && evaluation.mean_255() < 3.3, "{:?}", evaluation.views);
+    assert!(evaluation.psnr_db() > 30.0, "{:?}", evaluation.views);
 }
 
 #[test]
