@@ -64,6 +64,14 @@ impl Error {
         Self::Request { what: what.into(), remedy: remedy.into() }
     }
 
+    /// The same, of a file: a [`Error::Request`] becomes an [`Error::Input`] that names `path`, others stay as they are.
+    pub fn about(self, path: impl AsRef<Path>) -> Self {
+        match self {
+            Self::Request { what, remedy } => Self::input(path, what, remedy),
+            other => other,
+        }
+    }
+
     /// Turns an operating system's error into one that names the file: `.map_err(Error::io("read", path))`.
     pub fn io(doing: &'static str, path: impl AsRef<Path>) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.as_ref().to_path_buf();
@@ -80,6 +88,10 @@ fn remedy_for(source: &std::io::Error) -> &'static str {
         }
         StorageFull | QuotaExceeded => "free some space and run the command again",
         AlreadyExists => "choose another name or remove it first",
+        NotADirectory => "choose a path whose folders are folders",
+        IsADirectory => "name a file, not a folder",
+        FileTooLarge => "choose a disk that holds larger files, or raise the limit (`ulimit -f`)",
+        InvalidData => "give a text file in UTF-8",
         _ => "check the disk and run the command again",
     }
 }

@@ -125,16 +125,13 @@ impl Evaluation {
     /// Writes errors.csv and, for each view, truth, prediction and difference side by side as a PNG.
     ///
     /// # Errors
-    /// [`Error::Io`] when `folder` cannot be written.
+    /// [`Error::Io`] when `folder` cannot be written or the disk is full; then it is as it was.
     pub fn write(&self, folder: &Path) -> Result<()> {
-        std::fs::create_dir_all(folder).map_err(Error::io("create", folder))?;
+        let mut files = vec![("errors.csv".into(), self.csv().into_bytes())];
         for comparison in &self.comparisons {
-            file::write_bytes(
-                &folder.join(format!("{}.png", comparison.name)),
-                &comparison.side_by_side_png()?,
-            )?;
+            files.push((format!("{}.png", comparison.name), comparison.side_by_side_png()?));
         }
-        file::write_bytes(&folder.join("errors.csv"), self.csv().as_bytes())
+        file::write_together(folder, &files)
     }
 
     /// The table as CSV.

@@ -1,11 +1,12 @@
 //! Files are written beside their place and renamed into it, so that a crash or a full disk never leaves half a file.
+//! A folder that is made as a whole is treated in the same way.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use crate::{Error, Result};
 
-/// Calls `write` with a temporary path in the folder of `path` and renames the result to `path`.
+/// Calls `write` with a temporary path in the folder of `path` and renames the result, a file or a folder, to `path`.
 ///
 /// # Errors
 /// Whatever `write` returns, or the failure to rename; then the temporary file is removed and what stood at `path` is untouched.
@@ -14,10 +15,26 @@ pub fn write_beside(path: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Res
     let finished =
         write(&temporary).and_then(|()| fs::rename(&temporary, path).map_err(Error::io("write", path)));
     if finished.is_err() {
-        // Best effort: the error that matters is the one returned.
-        let _ = fs::remove_file(&temporary);
+        remove(&temporary);
     }
-    finished
+    finished.map_err(|error| match error {
+        // A message names what the user knows, not the temporary file, which is gone.
+        Error::Io { path: at, doing, source } => {
+            let at = at.strip_prefix(&temporary).map_or(at.clone(), |rest| named(path, rest));
+            Error::Io { path: at, doing, source }
+        }
+        other => other,
+    })
+}
+
+/// `path`, and `rest` in it where there is any.
+fn named(path: &Path, rest: &Path) -> PathBuf {
+    if rest.as_os_str().is_empty() { path.into() } else { path.join(rest) }
+}
+
+/// Best effort: the error that matters is the one that made this necessary.
+fn remove(temporary: &Path) {
+    let _ = if temporary.is_dir() { fs::remove_dir_all(temporary) } else { fs::remove_file(temporary) };
 }
 
 /// Writes `bytes` to `path` by way of a temporary file.
@@ -26,6 +43,34 @@ pub fn write_beside(path: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Res
 /// [`Error::Io`] when the folder cannot be written or the disk is full.
 pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<()> {
     write_beside(path, |temporary| fs::write(temporary, bytes).map_err(Error::io("write", path)))
+}
+
+/// Writes several files (name, bytes) to `folder`, which is made where it does not exist: all of them or none.
+///
+/// # Errors
+/// [`Error::Io`] when the folder cannot be written or the disk is full; then no file was replaced.
+pub fn write_together(folder: &Path, files: &[(String, Vec<u8>)]) -> Result<()> {
+    if !folder.exists() {
+        return write_beside(folder, |temporary| {
+            fs::create_dir(temporary).map_err(Error::io("create", folder))?;
+            files.iter().try_for_each(|(name, bytes)| {
+                fs::write(temporary.join(name), bytes).map_err(Error::io("write", folder.join(name)))
+            })
+        });
+    }
+    let paths: Vec<PathBuf> = files.iter().map(|(name, _)| folder.join(name)).collect();
+    let written = paths.iter().zip(files).try_for_each(|(path, (_, bytes))| {
+        fs::write(temporary_for(path), bytes).map_err(Error::io("write", path))
+    });
+    let finished = written.and_then(|()| {
+        paths
+            .iter()
+            .try_for_each(|path| fs::rename(temporary_for(path), path).map_err(Error::io("write", path)))
+    });
+    if finished.is_err() {
+        paths.iter().for_each(|path| remove(&temporary_for(path)));
+    }
+    finished
 }
 
 fn temporary_for(path: &Path) -> PathBuf {
@@ -50,5 +95,33 @@ mod tests {
         assert!(failed.is_err());
         assert_eq!(fs::read(&path).unwrap(), b"before");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_failed_folder_leaves_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let failed = write_beside(&folder.path().join("session"), |temporary| {
+            fs::create_dir(temporary).unwrap();
+            fs::write(temporary.join("half"), b"half").unwrap();
+            fs::write(temporary.join("none/half"), b"")
+                .map_err(Error::io("write", temporary.join("none/half")))
+        });
+        assert!(failed.unwrap_err().to_string().contains("session/none/half"));
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn files_that_belong_together_are_all_written_or_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("errors");
+        let file = |name: &str, text: &str| (name.to_owned(), text.as_bytes().to_vec());
+        write_together(&out, &[file("a", "1"), file("b", "1")]).unwrap();
+        assert!(write_together(&out, &[file("a", "2"), file("none/b", "2")]).is_err());
+        assert_eq!(fs::read(out.join("a")).unwrap(), b"1");
+        assert_eq!(fs::read_dir(&out).unwrap().count(), 2);
+        write_together(&out, &[file("b", "2"), file("c", "2")]).unwrap();
+        assert_eq!(fs::read(out.join("b")).unwrap(), b"2");
+        assert!(write_together(&folder.path().join("new"), &[file("none/b", "2")]).is_err());
+        assert!(!folder.path().join("new").exists());
     }
 }

@@ -48,7 +48,8 @@ const VIEWS_FOR_RESPONSE: usize = 40;
 /// Writes the radiance of every finished view of the session to its `radiance/` folder, with `response.csv`.
 ///
 /// Photographs of unknown exposure time count as 1 s: [`crate::observation::observe`] then estimates one gain for each view.
-/// A run that was interrupted goes on where it stopped, as long as photographs and choices are the same.
+/// A run that was interrupted goes on where it stopped, as long as photographs and choices are the same. Radiance that was
+/// measured in another way stays until all of the new is there.
 ///
 /// # Errors
 /// [`Error::Input`] naming a photograph that cannot be used; [`Error::Request`] when no response can be recovered;
@@ -79,29 +80,30 @@ pub fn measure(session: &Session, choice: &ResponseChoice, progress: &dyn Progre
     let noise = if looked_at > 0 { samples.noise(&response) } else { NoiseModel::assumed(&response) };
     let vignetting = vignetting(session, &response, &noise)?;
 
-    let folder = session.radiance_folder();
-    fs::create_dir_all(&folder).map_err(Error::io("create", &folder))?;
-    start_afresh_unless_same(session, &folder, &views, &format!("{choice:?} {noise:?} {vignetting:?}"))?;
-    response.write_csv(&folder.join("response.csv"))?;
+    let photographs: Vec<_> = views.iter().flat_map(|&view| session.photographs(view)).collect();
+    let folder = gather_in(session, &format!("{choice:?} {noise:?} {vignetting:?}\n{photographs:?}\n"))?;
     let description = format!("{choice:?}");
     let (done, written) = (AtomicUsize::new(looked_at), AtomicUsize::new(0));
     let [pixels, saturated, dark] = [const { AtomicUsize::new(0) }; 3];
-    views.par_iter().try_for_each(|&view| {
-        let path = session.radiance_path(view);
-        if !path.is_file() {
-            let mut image = merge(&stack(session, view)?, &response, &noise)?;
-            if let Some(vignetting) = &vignetting {
-                vignetting.correct(&mut image)?;
+    let finished = response.write_csv(&folder.join("response.csv")).and_then(|()| {
+        views.par_iter().try_for_each(|&view| {
+            let path = folder.join(session.radiance_path(view).file_name().unwrap_or_default());
+            if !path.is_file() {
+                let mut image = merge(&stack(session, view)?, &response, &noise)?;
+                if let Some(vignetting) = &vignetting {
+                    vignetting.correct(&mut image)?;
+                }
+                let count = |flag| image.mask.iter().filter(|&&mask| mask & flag != 0).count();
+                saturated.fetch_add(count(RadianceImage::SATURATED), Ordering::Relaxed);
+                dark.fetch_add(count(RadianceImage::DARK), Ordering::Relaxed);
+                pixels.fetch_add(image.mask.len(), Ordering::Relaxed);
+                image.write_exr(&path, &description)?;
+                written.fetch_add(1, Ordering::Relaxed);
             }
-            let count = |flag| image.mask.iter().filter(|&&mask| mask & flag != 0).count();
-            saturated.fetch_add(count(RadianceImage::SATURATED), Ordering::Relaxed);
-            dark.fetch_add(count(RadianceImage::DARK), Ordering::Relaxed);
-            pixels.fetch_add(image.mask.len(), Ordering::Relaxed);
-            image.write_exr(&path, &description)?;
-            written.fetch_add(1, Ordering::Relaxed);
-        }
-        progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, total)
-    })?;
+            progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, total)
+        })
+    });
+    settle(session, &folder, finished)?;
     let written = written.into_inner();
     let pixels = pixels.into_inner().max(1);
     let part = |count: AtomicUsize| count.into_inner() as f64 / pixels as f64;
@@ -141,21 +143,68 @@ fn vignetting(session: &Session, response: &Response, noise: &NoiseModel) -> Res
     Vignetting::fit(&pictures, response, noise).map(Some)
 }
 
-/// Radiance that was measured in another way or from other photographs must not be mixed with new radiance: it is removed.
-fn start_afresh_unless_same(session: &Session, folder: &Path, views: &[usize], choices: &str) -> Result<()> {
-    let photographs: Vec<_> = views.iter().flat_map(|&view| session.photographs(view)).collect();
-    let now = format!("{choices}\n{photographs:?}\n");
-    let path = folder.join("made_from.txt");
-    if fs::read_to_string(&path).is_ok_and(|before| before == now) {
-        return Ok(());
+/// What the radiance of a folder was made from: it must not be mixed with radiance that was made in another way.
+const MADE_FROM: &str = "made_from.txt";
+
+fn beside(session: &Session) -> PathBuf {
+    session.folder().join("radiance.new")
+}
+
+/// The folder for radiance that is made like this: its own place where nothing else stands there, otherwise one beside it.
+fn gather_in(session: &Session, made_from: &str) -> Result<PathBuf> {
+    let same = |folder: &Path| fs::read_to_string(folder.join(MADE_FROM)).is_ok_and(|was| was == made_from);
+    let place = session.radiance_folder();
+    let occupied = (0..session.manifest.views.len()).any(|view| session.radiance_path(view).exists());
+    let folder = if occupied && !same(&place) { beside(session) } else { place };
+    if same(&folder) {
+        return Ok(folder);
     }
-    for view in 0..session.manifest.views.len() {
-        match fs::remove_file(session.radiance_path(view)) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                return Err(Error::io("remove", folder)(error));
-            }
-            _ => {}
+    if folder == beside(session) && folder.exists() {
+        fs::remove_dir_all(&folder).map_err(Error::io("remove", &folder))?;
+    }
+    fs::create_dir_all(&folder).map_err(Error::io("create", &folder))?;
+    let written = file::write_bytes(&folder.join(MADE_FROM), made_from.as_bytes());
+    if written.is_err() && folder == beside(session) {
+        // Best effort: the error that matters is the one returned.
+        let _ = fs::remove_dir_all(&folder);
+    }
+    written.map(|()| folder)
+}
+
+/// Radiance that was gathered beside its place moves there when it is complete. After an error it is removed; after Ctrl-C
+/// it waits for the next run.
+fn settle(session: &Session, folder: &Path, finished: Result<()>) -> Result<()> {
+    if folder != beside(session) {
+        return finished;
+    }
+    match finished {
+        Ok(()) => {}
+        Err(Error::Interrupted) => return finished,
+        Err(_) => {
+            // Best effort: the error that matters is the one returned.
+            let _ = fs::remove_dir_all(folder);
+            return finished;
         }
     }
-    file::write_bytes(&path, now.as_bytes())
+    let place = session.radiance_folder();
+    // Without this file a move that stops half way is done again.
+    remove(&place.join(MADE_FROM))?;
+    (0..session.manifest.views.len()).try_for_each(|view| remove(&session.radiance_path(view)))?;
+    let entries = fs::read_dir(folder).map_err(Error::io("read", folder))?;
+    let mut names = vec![];
+    for entry in entries {
+        names.push(entry.map_err(Error::io("read", folder))?.file_name());
+    }
+    names.sort_by_key(|name| name == MADE_FROM);
+    for name in names {
+        fs::rename(folder.join(&name), place.join(&name)).map_err(Error::io("write", place.join(&name)))?;
+    }
+    fs::remove_dir(folder).map_err(Error::io("remove", folder))
+}
+
+fn remove(path: &Path) -> Result<()> {
+    match fs::remove_file(path) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(Error::io("remove", path)(error)),
+        _ => Ok(()),
+    }
 }

@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use exr::prelude::{Encoding, Image, LineOrder, SpecificChannels, Vec2, WritableImage};
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 
@@ -111,11 +112,15 @@ impl Rendering {
     pub fn write_exr(&self, path: &Path) -> Result<()> {
         let (width, height) = (self.width as usize, self.height as usize);
         write_beside(path, |temporary| {
-            exr::prelude::write_rgba_file(temporary, width, height, |x, y| {
-                let [r, g, b] = self.radiance[y * width + x];
-                (r, g, b, f32::from(u8::from(self.inside[y * width + x])))
-            })
-            .map_err(|error| match error {
+            let channels = SpecificChannels::rgba(|at: Vec2<usize>| {
+                let index = at.y() * width + at.x();
+                let [r, g, b] = self.radiance[index];
+                (r, g, b, f32::from(u8::from(self.inside[index])))
+            });
+            // A fixed order: the same picture is the same file, however many threads compress it.
+            let encoding = Encoding { line_order: LineOrder::Increasing, ..Encoding::FAST_LOSSLESS };
+            let image = Image::from_encoded_channels((width, height), encoding, channels);
+            image.write().to_file(temporary).map_err(|error| match error {
                 exr::error::Error::Io(source) => Error::io("write", path)(source),
                 other => {
                     Error::input(path, format!("cannot be written ({other})"), "render a smaller picture")

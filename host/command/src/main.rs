@@ -8,10 +8,14 @@ mod verbs;
 use std::process::ExitCode;
 
 use arguments::{Arguments, Verb};
-use clap::Parser;
+use clap::{CommandFactory, Parser};
 
 fn main() -> ExitCode {
-    let outcome = match Arguments::parse().verb {
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) => return refuse(&error),
+    };
+    let outcome = match arguments.verb {
         Verb::Demo(arguments) => verbs::demo(&arguments),
         Verb::Capture(arguments) => verbs::capture(&arguments),
         Verb::Import(arguments) => verbs::import(&arguments),
@@ -29,4 +33,21 @@ fn main() -> ExitCode {
             ExitCode::from(if interrupted { 130 } else { 1 })
         }
     }
+}
+
+/// Help and version as clap prints them; what cannot be understood as one sentence, like every other error.
+fn refuse(error: &clap::Error) -> ExitCode {
+    use clap::error::ErrorKind::{DisplayHelp, DisplayHelpOnMissingArgumentOrSubcommand, DisplayVersion};
+    if let DisplayHelp | DisplayHelpOnMissingArgumentOrSubcommand | DisplayVersion = error.kind() {
+        // Where nobody reads the help there is nobody to tell.
+        let _ = error.print();
+        return ExitCode::from(if error.use_stderr() { 2 } else { 0 });
+    }
+    let text = error.to_string();
+    let what = text.split("\n\n").next().unwrap_or_default();
+    let what: Vec<&str> = what.trim_start_matches("error:").split_whitespace().collect();
+    let verb = std::env::args().nth(1).filter(|word| Arguments::command().find_subcommand(word).is_some());
+    let help = ["rigel".into(), verb.unwrap_or_default(), "--help".into()].join(" ").replace("  ", " ");
+    eprintln!("rigel: {}; see `{help}`", what.join(" "));
+    ExitCode::from(2)
 }

@@ -17,7 +17,7 @@ const SAMPLE: usize = 400;
 /// Fits `model` to every texel of `map`, leaving out the views `without` (indices in the map's header).
 ///
 /// # Errors
-/// [`Error::Request`] when the model has more unknowns than there are views or no view is left; [`Error::Io`] when the map
+/// [`Error::Input`] when the model has more unknowns than there are views or no view is left; [`Error::Io`] when the map
 /// cannot be read; [`Error::Interrupted`].
 pub fn fit_surface(
     map: &ObservationMap,
@@ -27,7 +27,8 @@ pub fn fit_surface(
     progress: &dyn Progress,
 ) -> Result<ParameterMap> {
     let header = map.header();
-    let fitter = Fitter::new(model, options, &sample(map, without)?)?;
+    let fitter =
+        Fitter::new(model, options, &sample(map, without)?).map_err(|error| error.about(map.path()))?;
     let (texels, count) = (header.texels, model.parameter_count());
     let target = Mutex::new((vec![0f32; texels.count() * count], empty(texels.count())));
     let (tiles, done) = (header.tiles().count(), AtomicUsize::new(0));

@@ -1,6 +1,6 @@
 //! The observation map's file: a header and, tile by tile of texels, five half floats for each view and texel.
 //!
-//! Layout: `RIGELOBS`, the header's length (u64, little-endian), the header (JSON), zeros up to a multiple of 4096; then tile
+//! Layout: `RIGELOBS`, the header's length (u64, little-endian), the header (JSON), zeros up to a multiple of 64; then tile
 //! after tile, in it view after view, in that texel after texel: radiance R G B and its standard deviation, divided by the
 //! header's `unit`, and the mask (0: measured, 1: not measured; the four values are then 0). All tiles have the same size;
 //! those at the right and bottom edge are padded. A fit reads one tile at a time and needs no more memory than that.
@@ -23,7 +23,10 @@ const MAGIC: &[u8; 8] = b"RIGELOBS";
 const FORMAT: u32 = 1;
 /// Half floats for each observation: radiance, standard deviation, mask.
 pub(super) const VALUES: usize = 5;
-const ALIGNMENT: u64 = 4096;
+const ALIGNMENT: u64 = 64;
+/// A tile of 32 texels on a side keeps one of 300 views in ten megabytes of memory; no side is longer than 48.
+const TILE_SIDE: u32 = 32;
+const TILE_SIDES: std::ops::RangeInclusive<u32> = 24..=48;
 
 /// What an observation map says of itself.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -56,8 +59,14 @@ pub struct ObservedView {
 impl Header {
     /// A header in this version's format. Tiles are as large as keeps one in a few megabytes.
     pub(super) fn new(surface: Surface, texels: Texels, unit: f64, views: Vec<ObservedView>) -> Self {
-        // Padding is lost disk: a tile divides the map evenly where it can.
-        let side = |count: u32| count.div_ceil(count.div_ceil(32));
+        // Padding is lost disk: a tile divides the map as evenly as it can.
+        let side = |count: u32| {
+            let padding = |side: &u32| (count.next_multiple_of(*side) - count, side.abs_diff(TILE_SIDE));
+            if TILE_SIDES.contains(&count) || count < *TILE_SIDES.start() {
+                return count;
+            }
+            TILE_SIDES.min_by_key(padding).unwrap_or(TILE_SIDE)
+        };
         let tile = Texels { columns: side(texels.columns), rows: side(texels.rows) };
         Self { format: FORMAT, surface, texels, tile, unit, views }
     }
@@ -97,7 +106,12 @@ impl Header {
 
     /// Bytes of the whole file.
     pub fn file_bytes(&self) -> u64 {
-        self.bytes().len() as u64 + self.tiles().count() as u64 * self.views.len() as u64 * self.block_bytes()
+        self.bytes().len() as u64 + self.tiles_bytes()
+    }
+
+    /// Bytes of all tiles.
+    fn tiles_bytes(&self) -> u64 {
+        self.tiles().count() as u64 * self.views.len() as u64 * self.block_bytes()
     }
 
     /// Writes the header and makes the file as long as it will be; returns where the tiles start.
@@ -156,13 +170,13 @@ impl ObservationMap {
         {
             return Err(strange("has a damaged header (no texels, tile or unit)".into()));
         }
-        if header.file_bytes() != length {
-            return Err(strange(format!(
-                "has {length} bytes instead of {}: it was cut short",
-                header.file_bytes()
-            )));
+        // Not from the header written again: a number may come back with another digit.
+        let start = (16 + json_bytes).next_multiple_of(ALIGNMENT);
+        let expected = start + header.tiles_bytes();
+        if expected != length {
+            return Err(strange(format!("has {length} bytes instead of {expected}: it was cut short")));
         }
-        Ok(Self { path: path.into(), file, start: header.bytes().len() as u64, header })
+        Ok(Self { path: path.into(), file, start, header })
     }
 
     /// What the map says of itself.

@@ -50,7 +50,8 @@ impl RadianceImage {
         let size = (self.width as usize, self.height as usize);
         let layer = Layer::new(size, attributes, ENCODING, AnyChannels::sort(channels));
         file::write_beside(path, |temporary| {
-            Image::from_layer(layer).write().to_file(temporary).map_err(|e| match e {
+            // The views are written side by side already.
+            Image::from_layer(layer).write().non_parallel().to_file(temporary).map_err(|e| match e {
                 exr::error::Error::Io(source) => Error::io("write", path)(source),
                 other => Error::io("write", path)(std::io::Error::other(other.to_string())),
             })
@@ -70,7 +71,7 @@ impl RadianceImage {
             other => Error::input(path, format!("cannot be read as OpenEXR ({other})"), remedy),
         })?;
         let layer = image.layer_data.into_iter().next();
-        let layer = layer.ok_or_else(|| Error::input(path, "it has no layer", remedy))?;
+        let mut layer = layer.ok_or_else(|| Error::input(path, "it has no layer", remedy))?;
         match layer.attributes.other.get(KIND.as_bytes()) {
             Some(AttributeValue::I32(VERSION)) => {}
             Some(other) => {
@@ -79,14 +80,17 @@ impl RadianceImage {
             }
             None => return Err(Error::input(path, "an OpenEXR file, but not Rigel's radiance", remedy)),
         }
-        let samples = |name: &str| {
-            let found = layer.channel_data.list.iter().find(|channel| channel.name.eq(name));
-            found
-                .map(|channel| &channel.sample_data)
+        let channels = &mut layer.channel_data.list;
+        // Taken out one by one: a picture of many megapixels is not held twice.
+        let mut samples = |name: &str| {
+            let at = channels.iter().position(|channel| channel.name.eq(name));
+            at.map(|at| channels.remove(at).sample_data)
                 .ok_or_else(|| Error::input(path, format!("the channel {name} is missing"), remedy))
         };
-        let planes = |names: [&str; 3]| -> Result<Vec<[f32; 3]>> {
-            let mut pixels = vec![[0.0; 3]; layer.size.area()];
+        let area = layer.size.area();
+        let mask = samples("mask")?.values_as_f32().map(|m| m as Mask).collect();
+        let mut planes = |names: [&str; 3]| -> Result<Vec<[f32; 3]>> {
+            let mut pixels = vec![[0.0; 3]; area];
             for (c, name) in names.into_iter().enumerate() {
                 let FlatSamples::F32(plane) = samples(name)? else {
                     return Err(Error::input(
@@ -95,11 +99,10 @@ impl RadianceImage {
                         remedy,
                     ));
                 };
-                pixels.iter_mut().zip(plane).for_each(|(pixel, &value)| pixel[c] = value);
+                pixels.iter_mut().zip(plane).for_each(|(pixel, value)| pixel[c] = value);
             }
             Ok(pixels)
         };
-        let mask = samples("mask")?.values_as_f32().map(|m| m as Mask).collect();
         let (width, height) = (layer.size.width() as u32, layer.size.height() as u32);
         Ok(Self { width, height, radiance: planes(COLOURS)?, variance: planes(VARIANCES)?, mask })
     }

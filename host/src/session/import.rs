@@ -86,6 +86,8 @@ pub fn import(
     options: &Options,
     progress: &dyn Progress,
 ) -> Result<Imported> {
+    // First, for the photographs may take minutes to read.
+    super::refuse_occupied(session_folder)?;
     let mut notes = vec![];
     let (mut manifest, mut found) = match source {
         Source::Folder(path) => folder::read(path, options, &mut notes)?,
@@ -101,13 +103,16 @@ pub fn import(
         apply(calibration, &mut manifest, sizes[0]);
     }
     check_sizes(&found, &sizes, &mut manifest, &mut notes)?;
-    copy(&found, &options.flats, manifest, session_folder)?;
+    file::write_beside(session_folder, |folder| {
+        fill(&found, manifest, folder, progress)?;
+        copy_flats(&options.flats, folder)
+    })?;
     Ok(Imported { session: Session::open(session_folder)?, notes })
 }
 
 /// Reads every photograph whole, so that a truncated one is found now and not after hours; completes the times.
 fn check(found: &mut [Found], options: &Options, progress: &dyn Progress) -> Result<Vec<(u32, u32)>> {
-    let total = found.len();
+    let total = 2 * found.len();
     let mut sizes = Vec::with_capacity(total);
     for (index, photograph) in found.iter_mut().enumerate() {
         progress.step(index, total)?;
@@ -134,7 +139,7 @@ fn check(found: &mut [Found], options: &Options, progress: &dyn Progress) -> Res
             _ => {}
         }
     }
-    progress.step(total, total)?;
+    let total = found.len();
     let known = found.iter().filter(|photograph| photograph.exposure_s.is_some()).count();
     if known > 0 && known < total {
         let without = found.iter().find(|photograph| photograph.exposure_s.is_none()).expect("counted above");
@@ -204,19 +209,6 @@ fn exif_exposure_s(path: &Path) -> Option<f64> {
     }
 }
 
-/// Builds the session beside its place and renames it: after an error or Ctrl-C nothing is left.
-fn copy(found: &[Found], flats: &[PathBuf], manifest: Manifest, session_folder: &Path) -> Result<()> {
-    super::refuse_occupied(session_folder)?;
-    file::write_beside(session_folder, |folder| {
-        let finished = fill(found, manifest, folder).and_then(|()| copy_flats(flats, folder));
-        if finished.is_err() {
-            // Best effort: the error that matters is the one returned.
-            let _ = fs::remove_dir_all(folder);
-        }
-        finished
-    })
-}
-
 fn copy_flats(flats: &[PathBuf], folder: &Path) -> Result<()> {
     let target = folder.join("flats");
     if !flats.is_empty() {
@@ -225,15 +217,16 @@ fn copy_flats(flats: &[PathBuf], folder: &Path) -> Result<()> {
     for path in flats {
         Picture::read(path)?;
         let copy = target.join(path.file_name().unwrap_or_default());
-        fs::copy(path, &copy).map_err(Error::io("copy", path))?;
+        fs::copy(path, &copy).map_err(Error::io("write", &copy))?;
     }
     Ok(())
 }
 
-fn fill(found: &[Found], manifest: Manifest, folder: &Path) -> Result<()> {
+fn fill(found: &[Found], manifest: Manifest, folder: &Path, progress: &dyn Progress) -> Result<()> {
     let mut session = Session::create(folder, manifest)?;
     let mut names = BTreeMap::new();
-    for photograph in found {
+    for (index, photograph) in found.iter().enumerate() {
+        progress.step(found.len() + index, 2 * found.len())?;
         let name = photograph.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         if let Some(other) = names.insert(name.clone(), &photograph.path) {
             return Err(Error::input(
@@ -243,12 +236,15 @@ fn fill(found: &[Found], manifest: Manifest, folder: &Path) -> Result<()> {
             ));
         }
         let file = format!("photographs/{name}");
-        fs::copy(&photograph.path, folder.join(&file)).map_err(Error::io("copy", &photograph.path))?;
+        // The photograph was read before: what fails now is the copy.
+        let copy = folder.join(&file);
+        fs::copy(&photograph.path, &copy).map_err(Error::io("write", &copy))?;
         session.record(Event::Photograph(Photograph {
             view: photograph.view,
             file,
             exposure_s: photograph.exposure_s,
         }))?;
     }
-    (0..session.manifest.views.len()).try_for_each(|view| session.record(Event::ViewDone { view }))
+    (0..session.manifest.views.len()).try_for_each(|view| session.record(Event::ViewDone { view }))?;
+    progress.step(2 * found.len(), 2 * found.len())
 }

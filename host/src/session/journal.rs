@@ -48,17 +48,17 @@ impl Journal {
     /// # Errors
     /// [`Error::Input`] when another line is damaged.
     pub fn open(path: &Path) -> Result<Self> {
-        let text = match std::fs::read_to_string(path) {
-            Ok(text) => text,
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
+        let bytes = match std::fs::read(path) {
+            Ok(bytes) => bytes,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => vec![],
             Err(error) => return Err(Error::io("read", path)(error)),
         };
-        let whole = text.rfind('\n').map_or(0, |end| end + 1);
-        let events = text[..whole]
-            .lines()
+        let whole = bytes.iter().rposition(|&byte| byte == b'\n').map_or(0, |end| end + 1);
+        let events = bytes[..whole]
+            .split_inclusive(|&byte| byte == b'\n')
             .enumerate()
             .map(|(index, line)| {
-                serde_json::from_str(line).map_err(|error| {
+                serde_json::from_slice(line).map_err(|error| {
                     Error::input(
                         path,
                         format!("line {} is damaged ({error})", index + 1),

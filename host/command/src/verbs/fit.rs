@@ -43,7 +43,8 @@ pub fn fit(arguments: &Fit) -> Result<()> {
 
 /// The smallest model that predicts held-out views about as well as the best one, and says why.
 fn choose(map: &ObservationMap, without: &[u32], options: &FitOptions) -> Result<Model> {
-    let ranking = choose_model(&sample(map, without)?, &Model::all(), options)?;
+    let ranking = choose_model(&sample(map, without)?, &Model::all(), options)
+        .map_err(|error| error.about(map.path()))?;
     for candidate in &ranking {
         println!(
             "{:>14}: predicts held-out views within {:.2} %, {} bytes per texel",
@@ -128,7 +129,8 @@ pub fn evaluate(arguments: &Evaluate) -> Result<()> {
         (Some(list), _) => read_references(list, arguments.pixel_centre)?,
         (None, Some(folder)) => {
             let session = Session::open(folder)?;
-            session_references(&session, &session_views(&session, &arguments.views)?)?
+            let views = session_views(&session, &arguments.views)?;
+            session_references(&session, &views).map_err(|error| error.about(folder))?
         }
         (None, None) => {
             return Err(Error::request(

@@ -53,7 +53,8 @@ pub fn radiance(arguments: &Radiance) -> Result<()> {
         "linear" => ResponseChoice::Linear,
         path => ResponseChoice::File(PathBuf::from(path)),
     };
-    let measured = measure(&session, &choice, &Bar::new("radiance"))?;
+    let measured =
+        measure(&session, &choice, &Bar::new("radiance")).map_err(|error| error.about(session.folder()))?;
     if let Some(residual) = measured.vignetting_residual {
         println!("vignetting: flat fields agree with the model within {:.2} %", 100.0 * residual);
     }
@@ -73,7 +74,8 @@ pub fn observe(arguments: &Observe) -> Result<()> {
     let session = Session::open(&arguments.session)?;
     let out = arguments.out.clone().unwrap_or_else(|| session.folder().join("observations.rigel"));
     let map =
-        build(&session, &out, &observation::Options { texels: arguments.texels }, &Bar::new("observing"))?;
+        build(&session, &out, &observation::Options { texels: arguments.texels }, &Bar::new("observing"))
+            .map_err(|error| error.about(session.folder()))?;
     let header = map.header();
     if header.views.iter().any(|view| view.gain != 1.0) {
         let gains: Vec<String> =
