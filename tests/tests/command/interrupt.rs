@@ -119,7 +119,11 @@ fn radiance_goes_on_where_it_stopped() {
     let views: Vec<_> = views.map(|name| (name, written(name))).collect();
     assert!(!views.is_empty() && views.len() < VIEWS, "{} of {VIEWS} views were finished", views.len());
     assert!(views.iter().all(|(name, _)| RadianceImage::read_exr(name).is_ok()), "no file is half");
-    assert!(finished.keys().all(|name| !name.to_string_lossy().contains("tmp")), "{:?}", finished.keys());
+    assert!(
+        finished.keys().all(|name| !name.to_string_lossy().contains("rigel-tmp")),
+        "{:?}",
+        finished.keys()
+    );
 
     fs::remove_file(&pipe).unwrap();
     fs::write(&pipe, photograph).unwrap();
