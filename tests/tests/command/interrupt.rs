@@ -14,7 +14,7 @@ use std::time::Duration;
 
 use rigel::radiance::RadianceImage;
 
-use common::{IMPORT, VIEWS, assert_untouched, rigel, snapshot, succeed, workshop};
+use common::{IMPORT, VIEWS, assert_refused, assert_untouched, rigel, snapshot, succeed, workshop};
 
 /// Starts the command on one thread, so that it does one thing after the other.
 fn start(folder: &Path, arguments: &[&str]) -> Child {
@@ -49,7 +49,7 @@ fn interrupt(child: &Child) {
 
 fn assert_interrupted(output: &Output) {
     assert_eq!(output.status.code(), Some(130), "{output:?}");
-    assert_eq!(String::from_utf8_lossy(&output.stderr), "rigel: interrupted; what was finished is kept\n");
+    assert_refused("what was interrupted", output, &["interrupted"]);
 }
 
 /// Puts a pipe where a photograph was: whoever reads it waits. Returns the photograph.
