@@ -1,7 +1,5 @@
 //! The patchwork capture, rendered by an independent path tracer: 75 views of eight materials, predicted at six others.
 
-#![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
-
 use rigel::evaluate::{evaluate, read_references};
 use rigel::fit::{FitOptions, Model, fit_surface};
 use rigel::geometry::Texels;

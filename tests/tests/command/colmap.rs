@@ -94,6 +94,9 @@ fn a_model_of_larger_photographs_is_scaled_and_the_result_is_right() {
     assert!(plain < 0.1 && (scaled - plain).abs() < 1e-4, "{plain} {scaled}");
 }
 
+/// What is done to a model.
+type Spoil = Box<dyn Fn(&Path)>;
+
 #[test]
 fn models_that_cannot_be_used() {
     let replace = |file: &'static str, from: &'static str, to: &'static str| {
@@ -103,7 +106,7 @@ fn models_that_cannot_be_used() {
             fs::write(model.join(file), text.replacen(from, to, 1)).unwrap();
         }
     };
-    let cases: Vec<(Box<dyn Fn(&Path)>, &[&str])> = vec![
+    let cases: Vec<(Spoil, &[&str])> = vec![
         (
             Box::new(replace("cameras.txt", "SIMPLE_PINHOLE", "OPENCV_FISHEYE")),
             &["cameras.txt", "line 2", "OPENCV_FISHEYE", "SIMPLE_RADIAL"],

@@ -14,7 +14,7 @@ use std::time::Duration;
 
 use rigel::radiance::RadianceImage;
 
-use common::{IMPORT, VIEWS, assert_untouched, rigel, snapshot, succeed, workshop};
+use common::{IMPORT, VIEWS, assert_refused, assert_untouched, rigel, snapshot, succeed, workshop};
 
 /// Starts the command on one thread, so that it does one thing after the other.
 fn start(folder: &Path, arguments: &[&str]) -> Child {
@@ -49,7 +49,7 @@ fn interrupt(child: &Child) {
 
 fn assert_interrupted(output: &Output) {
     assert_eq!(output.status.code(), Some(130), "{output:?}");
-    assert_eq!(String::from_utf8_lossy(&output.stderr), "rigel: interrupted; what was finished is kept\n");
+    assert_refused("what was interrupted", output, &["interrupted"]);
 }
 
 /// Puts a pipe where a photograph was: whoever reads it waits. Returns the photograph.
@@ -119,7 +119,11 @@ fn radiance_goes_on_where_it_stopped() {
     let views: Vec<_> = views.map(|name| (name, written(name))).collect();
     assert!(!views.is_empty() && views.len() < VIEWS, "{} of {VIEWS} views were finished", views.len());
     assert!(views.iter().all(|(name, _)| RadianceImage::read_exr(name).is_ok()), "no file is half");
-    assert!(finished.keys().all(|name| !name.to_string_lossy().contains("tmp")), "{:?}", finished.keys());
+    assert!(
+        finished.keys().all(|name| !name.to_string_lossy().contains("rigel-tmp")),
+        "{:?}",
+        finished.keys()
+    );
 
     fs::remove_file(&pipe).unwrap();
     fs::write(&pipe, photograph).unwrap();
