@@ -30,6 +30,9 @@ pub struct Reference {
     pub pose: Pose,
     /// What was really seen; masked pixels do not count.
     pub radiance: RadianceImage,
+    /// Whether its exposure time is known. Otherwise its radiance is on a scale of its own, and one gain (the median of
+    /// truth / prediction) is taken out first.
+    pub exposure_known: bool,
 }
 
 /// The error of one view.
@@ -163,7 +166,7 @@ pub fn read_references(list: &Path, pixel_centre: f64) -> Result<Vec<Reference>>
             ));
         }
         let name = entry.file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        Ok(Reference { name, lens, pose: entry.pose, radiance })
+        Ok(Reference { name, lens, pose: entry.pose, radiance, exposure_known: true })
     };
     ReferenceFile::read_list(list, pixel_centre)?.into_iter().map(load).collect()
 }
@@ -202,6 +205,7 @@ pub fn session_references(session: &Session, views: &[usize]) -> Result<Vec<Refe
             lens: *session.manifest.lens(view)?,
             pose: session.pose(view)?,
             radiance: RadianceImage::read_exr(&session.radiance_path(view))?,
+            exposure_known: session.photographs(view).iter().all(|photo| photo.exposure_s.is_some()),
         })
     };
     views.iter().map(load).collect()
@@ -216,7 +220,7 @@ pub fn evaluate(map: &ParameterMap, references: &[Reference], progress: &dyn Pro
     for (index, reference) in references.iter().enumerate() {
         progress.step(index, references.len())?;
         let radiance = |point, direction| map.radiance_at(map.surface.texel_at(map.texels, point), direction);
-        let rendering = render(&map.surface, &reference.lens, &reference.pose, radiance, &Silent)?;
+        let mut rendering = render(&map.surface, &reference.lens, &reference.pose, radiance, &Silent)?;
         let counts = |&i: &usize| rendering.inside[i] && reference.radiance.mask[i] == 0;
         let pixels: Vec<usize> = (0..rendering.inside.len()).filter(counts).collect();
         if pixels.is_empty() {
@@ -224,6 +228,11 @@ pub fn evaluate(map: &ParameterMap, references: &[Reference], progress: &dyn Pro
                 format!("reference view {} shows nothing of the sampled area", reference.name),
                 "check its pose and lens, or leave it out",
             ));
+        }
+        if !reference.exposure_known {
+            let pairs = pixels.iter().map(|&i| (reference.radiance.radiance[i], rendering.radiance[i]));
+            let gain = median(pairs.flat_map(|(t, p)| [0, 1, 2].map(|c| t[c] / p[c].max(1e-9))).collect());
+            rendering.radiance.iter_mut().flatten().for_each(|value| *value *= gain);
         }
         seen.push((pixels, rendering.radiance));
     }

@@ -163,7 +163,13 @@ fn photographs_of_one_lobe_predict_views_that_nobody_took() {
         .into_iter()
         .map(|(pan_rad, tilt_rad)| {
             let pose = Pose::from_rig(pan_rad, tilt_rad, 0.9);
-            Reference { name: format!("pan {pan_rad}"), lens, pose, radiance: camera.truth(&pose) }
+            Reference {
+                name: format!("pan {pan_rad}"),
+                lens,
+                pose,
+                radiance: camera.truth(&pose),
+                exposure_known: true,
+            }
         })
         .collect();
     let evaluation = evaluate(&fitted, &references, &Silent).unwrap();

@@ -15,6 +15,8 @@ pub(super) fn terms(direction: Vec3) -> [f64; 6] {
 }
 
 /// What each unit of the quadratic's slope and curvature about the views' centre costs, in mean squared log radiance.
+/// Of a ladder of half decades, generalised cross-validation picks this or the step below for a glossy desk seen in 13
+/// photographs, and held-out photographs agree.
 const RIDGE: f64 = 1e-4;
 
 /// An exponential runs away where no view holds it: nowhere is the model brighter than this times the brightest

@@ -26,7 +26,7 @@ pub(super) struct ViewSampler<'a> {
 
 impl ViewSampler<'_> {
     /// The texel's radiance: bilinear in the distorted photograph, averaged over the texel where it covers several pixels
-    /// (else fine texture would alias). `None` where any of it was not measured, is outside the picture, or is seen from behind.
+    /// (else fine texture would alias). `None` where any of it was not measured (see [`measured`]), is outside the picture, or is seen from behind.
     pub fn sample(&self, column: u32, row: u32) -> Option<Sample> {
         let centre = self.surface.texel_centre(self.texels, column, row);
         if self.pose.centre_m.z <= 0.0 {
@@ -79,15 +79,31 @@ fn bilinear(image: &RadianceImage, pixel: DVec2) -> Option<([f32; 3], f32)> {
         (below, (1.0 - fx) * fy),
         (below + 1, fx * fy),
     ] {
-        if image.mask[index] != 0 {
-            return None;
-        }
-        for ((sum, value), spread) in
-            radiance.iter_mut().zip(image.radiance[index]).zip(image.variance[index])
-        {
+        let (pixel, pixel_variance) = measured(image, index)?;
+        for ((sum, value), spread) in radiance.iter_mut().zip(pixel).zip(pixel_variance) {
             *sum += weight * value;
             variance += weight * weight * spread / 3.0;
         }
+    }
+    Some((radiance, variance))
+}
+
+/// Radiance and variance of a pixel; `None` where it was not measured.
+///
+/// A channel that was too dark is known all the same: it lies between 0 and its bound, evenly for all we know. Orange
+/// wood has next to no blue, and would else be absent. A pixel too dark in every channel may be no surface at all (a
+/// border shifted in) and stays absent.
+fn measured(image: &RadianceImage, index: usize) -> Option<([f32; 3], [f32; 3])> {
+    let (mut radiance, mut variance) = (image.radiance[index], image.variance[index]);
+    match image.mask[index] {
+        0 => {}
+        RadianceImage::DARK if variance.iter().any(|v| v.is_finite()) => {
+            for (value, spread) in radiance.iter_mut().zip(&mut variance).filter(|(_, v)| !v.is_finite()) {
+                *spread = *value * *value / 12.0;
+                *value /= 2.0;
+            }
+        }
+        _ => return None,
     }
     Some((radiance, variance))
 }
@@ -172,6 +188,18 @@ mod tests {
             }
         }
         assert!(absent > 0);
+    }
+
+    #[test]
+    fn a_dark_channel_is_half_its_bound_and_a_pixel_of_dark_channels_is_absent() {
+        let (mut image, lens, pose) = (ramp(), Lens::pinhole(64, 48, 200.0), Pose::from_rig(0.0, 0.0, 0.9));
+        image.mask.fill(RadianceImage::DARK);
+        image.variance.fill([0.04, 0.04, f32::INFINITY]);
+        let sample = sampler(&image, &lens, &pose, 64).sample(32, 24).unwrap();
+        assert!((sample.radiance[2] - 0.5).abs() < 1e-6 && sample.radiance[0] > 1.0, "{sample:?}");
+        assert!(sample.sigma > 0.1 && sample.sigma < 0.3, "{sample:?}");
+        image.variance.fill([f32::INFINITY; 3]);
+        assert_eq!(sampler(&image, &lens, &pose, 64).sample(32, 24), None);
     }
 
     #[test]

@@ -43,11 +43,12 @@ pub(super) fn read(
                 "import a model of a flat surface",
             )
         })?;
+    let area = surface.unwrap_or(frame.surface);
     notes.push(format!(
-        "the surface is the plane of {} of the model's {} points; one unit of the model counts as 1 m",
-        frame.on_plane, frame.points
+        "the surface, {:.3} x {:.3} m, is on the plane of {} of the model's {} points; one unit of the model counts as 1 m",
+        area.width_m, area.height_m, frame.on_plane, frame.points
     ));
-    let mut manifest = Manifest { surface: surface.or(Some(frame.surface)), ..Manifest::new("COLMAP model") };
+    let mut manifest = Manifest { surface: Some(area), ..Manifest::new("COLMAP model") };
     let mut found = vec![];
     for (view, image) in images.into_iter().enumerate() {
         let pose = Pose {
