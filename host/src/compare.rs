@@ -7,9 +7,9 @@ use glam::{DVec3, Vec3};
 use crate::Result;
 use crate::chart::{self, Axis, ChartPoint, Drawn, Series};
 use crate::evaluate::{Evaluation, Reference, evaluate};
-use crate::fit::{FitOptions, Model, fit_surface};
+use crate::fit::{FitOptions, Model};
 use crate::observation::{ObservationMap, TexelObservations};
-use crate::parameter_map::ParameterMap;
+use crate::parameter_map::{ParameterMap, fit_surface};
 use crate::progress::{Progress, Silent};
 use crate::report::{Picture, Report};
 

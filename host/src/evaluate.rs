@@ -4,6 +4,7 @@
 //! reference measured) the per-channel scale is median(truth / prediction) over all views together; both go through
 //! 1 - exp(-gamma L) with gamma = ln 2 / median(truth); what counts is the mean absolute difference times 255, and the PSNR.
 
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -13,7 +14,7 @@ use crate::geometry::{Lens, Pose};
 use crate::parameter_map::ParameterMap;
 use crate::picture::Picture;
 use crate::progress::{Progress, Silent};
-use crate::radiance::RadianceImage;
+use crate::radiance::{Mask, RadianceImage};
 use crate::render::{self, expose, gamma_for_median, render};
 use crate::session::Session;
 use crate::view_file::ReferenceFile;
@@ -153,7 +154,7 @@ impl Evaluation {
 /// [`Error::Input`] naming the list or a picture that cannot be used.
 pub fn read_references(list: &Path, pixel_centre: f64) -> Result<Vec<Reference>> {
     let load = |entry: ReferenceFile| {
-        let radiance = linear_picture(&entry.file)?;
+        let radiance = reference_picture(&entry.file)?;
         let lens = entry.lens(radiance.width, radiance.height);
         if (lens.width, lens.height) != (radiance.width, radiance.height) {
             return Err(Error::input(
@@ -168,11 +169,25 @@ pub fn read_references(list: &Path, pixel_centre: f64) -> Result<Vec<Reference>>
         let name = entry.file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         Ok(Reference { name, lens, pose: entry.pose, radiance, exposure_known: true })
     };
-    ReferenceFile::read_list(list, pixel_centre)?.into_iter().map(load).collect()
+    let references: Vec<Reference> =
+        ReferenceFile::read_list(list, pixel_centre)?.into_iter().map(load).collect::<Result<_>>()?;
+    let names: BTreeSet<&str> = references.iter().map(|reference| reference.name.as_str()).collect();
+    if names.len() < references.len() {
+        return Err(Error::input(
+            list,
+            "names two files that differ only in folder or extension",
+            "rename one of them",
+        ));
+    }
+    Ok(references)
 }
 
-/// A picture of linear radiance that somebody else made: every pixel counts as measured.
-fn linear_picture(path: &Path) -> Result<RadianceImage> {
+/// Radiance that Rigel measured, with its mask, or a picture of linear radiance that somebody else made: there every pixel
+/// counts as measured that is within the range of half floats.
+fn reference_picture(path: &Path) -> Result<RadianceImage> {
+    if let Ok(measured) = RadianceImage::read_exr(path) {
+        return Ok(measured);
+    }
     let picture = Picture::read(path)?;
     if picture.white != Picture::FLOAT_WHITE {
         return Err(Error::input(
@@ -185,13 +200,18 @@ fn linear_picture(path: &Path) -> Result<RadianceImage> {
         width: picture.width,
         height: picture.height,
         variance: vec![[0.0; 3]; picture.levels.len()],
-        mask: vec![0; picture.levels.len()],
+        mask: picture.levels.iter().map(beyond_range).collect(),
         radiance: picture
             .levels
             .into_iter()
             .map(|pixel| pixel.map(|bits| f16::from_bits(bits).to_f32()))
             .collect(),
     })
+}
+
+/// Infinite numbers arrive as the largest half float.
+fn beyond_range(levels: &[u16; 3]) -> Mask {
+    if levels.contains(&Picture::FLOAT_WHITE) { RadianceImage::SATURATED } else { 0 }
 }
 
 /// Views of a session as references, by index.

@@ -11,7 +11,6 @@ mod model;
 mod phong;
 mod select;
 mod small;
-mod surface;
 #[cfg(test)]
 mod tests;
 mod voronoi;
@@ -20,5 +19,4 @@ mod weights;
 pub use fitter::{FitFlags, FitOptions, Fitter, TexelFit};
 pub use harmonics::HarmonicsMethod;
 pub use model::{Model, Toward};
-pub use select::{Candidate, choose_model};
-pub use surface::{fit_surface, sample};
+pub use select::{Candidate, candidates, choose_model};

@@ -1,6 +1,8 @@
 //! From a session's photographs to the radiance of every view, on one scale.
 
+use std::fmt::Write as _;
 use std::fs;
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -70,19 +72,30 @@ pub fn measure(session: &Session, choice: &ResponseChoice, progress: &dyn Progre
         progress.step(i, total)?;
         samples.add(&stack(session, views[i * views.len() / looked_at])?)?;
     }
-    let first = Picture::read(session.photograph_path(session.photographs(views[0])[0]))?;
+    let white = stack(session, views[0])?.white();
     let response = match choice {
         ResponseChoice::Recover => samples.response()?,
         ResponseChoice::File(path) => Response::read_csv(path)?,
-        ResponseChoice::Srgb => Response::srgb(first.white),
-        ResponseChoice::Linear => Response::linear(first.white),
+        ResponseChoice::Srgb if white == Picture::FLOAT_WHITE => {
+            return Err(Error::input(
+                session.folder(),
+                "has photographs of floating-point numbers, to which the sRGB curve does not apply",
+                "use --response linear",
+            ));
+        }
+        ResponseChoice::Srgb => Response::srgb(white),
+        ResponseChoice::Linear => Response::linear(white),
     };
     let noise = if looked_at > 0 { samples.noise(&response) } else { NoiseModel::assumed(&response) };
     let vignetting = vignetting(session, &response, &noise)?;
 
-    let photographs: Vec<_> = views.iter().flat_map(|&view| session.photographs(view)).collect();
-    let folder = gather_in(session, &format!("{choice:?} {noise:?} {vignetting:?}\n{photographs:?}\n"))?;
-    let description = format!("{choice:?}");
+    let folder = gather_in(session, &made_from(session, &views, &response, &noise, vignetting.as_ref())?)?;
+    let description = match choice {
+        ResponseChoice::Recover => "recovered from the session's brackets".into(),
+        ResponseChoice::File(path) => path.display().to_string(),
+        ResponseChoice::Srgb => "srgb".into(),
+        ResponseChoice::Linear => "linear".into(),
+    };
     let (done, written) = (AtomicUsize::new(looked_at), AtomicUsize::new(0));
     let [pixels, saturated, dark] = [const { AtomicUsize::new(0) }; 3];
     let finished = response.write_csv(&folder.join("response.csv")).and_then(|()| {
@@ -143,6 +156,29 @@ fn vignetting(session: &Session, response: &Response, noise: &NoiseModel) -> Res
     Vignetting::fit(&pictures, response, noise).map(Some)
 }
 
+/// Everything on which the radiance depends, as text: the response, noise and vignetting, and every photograph as it stands on
+/// the disk (its length and time of change).
+fn made_from(
+    session: &Session,
+    views: &[usize],
+    response: &Response,
+    noise: &NoiseModel,
+    vignetting: Option<&Vignetting>,
+) -> Result<String> {
+    let mut hasher = DefaultHasher::new();
+    for channel in 0..3 {
+        response.exposure(channel).iter().for_each(|value| value.to_bits().hash(&mut hasher));
+    }
+    let mut text = format!("response {:x}\n{noise:?}\n{vignetting:?}\n", hasher.finish());
+    for photograph in views.iter().flat_map(|&view| session.photographs(view)) {
+        let path = session.photograph_path(photograph);
+        let metadata = fs::metadata(&path).map_err(Error::io("read", &path))?;
+        let (length, changed) = (metadata.len(), metadata.modified().map_err(Error::io("read", &path))?);
+        let _ = writeln!(text, "{photograph:?} {length} {changed:?}");
+    }
+    Ok(text)
+}
+
 /// What the radiance of a folder was made from: it must not be mixed with radiance that was made in another way.
 const MADE_FROM: &str = "made_from.txt";
 
@@ -156,6 +192,10 @@ fn gather_in(session: &Session, made_from: &str) -> Result<PathBuf> {
     let place = session.radiance_folder();
     let occupied = (0..session.manifest.views.len()).any(|view| session.radiance_path(view).exists());
     let folder = if occupied && !same(&place) { beside(session) } else { place };
+    if folder != beside(session) && beside(session).exists() {
+        // An interrupted change of mind: its radiance is of no use any more.
+        fs::remove_dir_all(beside(session)).map_err(Error::io("remove", beside(session)))?;
+    }
     if same(&folder) {
         return Ok(folder);
     }

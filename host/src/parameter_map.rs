@@ -1,10 +1,14 @@
 //! The parameter map: a model's coefficients for every texel, in a file that other programs open.
 
 mod exchange;
+mod fitted;
+
+pub use fitted::fit_surface;
 
 use glam::{DVec2, Vec3};
 
-use crate::fit::{FitFlags, Model, TexelFit};
+use crate::fit::{FitFlags, Model};
+
 use crate::geometry::{Surface, Texels};
 
 /// Coefficients of one model for every texel of a surface.
@@ -34,18 +38,6 @@ pub struct Diagnostics {
 }
 
 impl ParameterMap {
-    /// Gathers the fits of all texels, given from the top-left one row by row: as many as `texels.count()`.
-    pub fn from_fits(surface: Surface, texels: Texels, model: Model, fits: &[TexelFit]) -> Self {
-        debug_assert_eq!(fits.len(), texels.count());
-        let diagnostics = Diagnostics {
-            residual: fits.iter().map(|fit| fit.residual).collect(),
-            views: fits.iter().map(|fit| fit.views).collect(),
-            flags: fits.iter().map(|fit| fit.flags).collect(),
-        };
-        let parameters = fits.iter().flat_map(|fit| fit.parameters.iter().copied()).collect();
-        Self { surface, texels, model, parameters, diagnostics: Some(diagnostics) }
-    }
-
     /// The coefficients of texel (`column`, `row`).
     pub fn texel(&self, column: u32, row: u32) -> &[f32] {
         let count = self.model.parameter_count();

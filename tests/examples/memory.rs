@@ -9,9 +9,10 @@
 use std::fs;
 use std::path::PathBuf;
 
-use rigel::fit::{FitOptions, Model, fit_surface};
+use rigel::fit::{FitOptions, Model};
 use rigel::geometry::{Lens, Pose, Texels};
 use rigel::observation::{ObservationMap, Options, observe};
+use rigel::parameter_map::fit_surface;
 use rigel::progress::Silent;
 use rigel::radiance::RadianceImage;
 use rigel::render::render;

@@ -12,10 +12,11 @@ use std::path::Path;
 
 use glam::Vec3;
 use rigel::evaluate::{evaluate, session_references};
-use rigel::fit::{FitOptions, Model, choose_model, fit_surface, sample};
+use rigel::fit::{FitOptions, Model, candidates, choose_model};
 use rigel::geometry::Texels;
 use rigel::measure::{ResponseChoice, measure};
 use rigel::observation::{self, ObservationMap, TexelObservations, observe};
+use rigel::parameter_map::fit_surface;
 use rigel::progress::Silent;
 use rigel::session::Session;
 use rigel::session::import::{Imported, Options, Source, import};
@@ -177,7 +178,8 @@ fn each_photograph_is_predicted_from_the_others() {
     assert!(whole.len() > 4000, "the desk covers most of the surface");
     let [nearest, quadratic, ours] = held_out(&map, &whole);
     assert!(ours <= 0.065 && ours < nearest && ours < quadratic);
-    let ranking = choose_model(&sample(&map, &[]).unwrap(), &Model::all(), &FitOptions::default()).unwrap();
+    let ranking =
+        choose_model(&map.sample(&[]).unwrap(), &candidates(), &FitOptions::default(), &Silent).unwrap();
     println!("  chosen: {ranking:.3?}");
     assert_eq!(ranking[0].model, Model::LogQuadratic);
 

@@ -1,10 +1,11 @@
 //! The patchwork capture, rendered by an independent path tracer: 75 views of eight materials, predicted at six others.
 
 use rigel::evaluate::{evaluate, read_references};
-use rigel::fit::{FitOptions, Model, fit_surface};
+use rigel::fit::{FitOptions, Model};
 use rigel::geometry::Texels;
 use rigel::measure::{ResponseChoice, measure};
 use rigel::observation::{Options as ObservationOptions, observe};
+use rigel::parameter_map::fit_surface;
 use rigel::progress::Silent;
 use rigel::session::import::{Options, Source, import};
 use rigel::units::parse_surface;

@@ -46,7 +46,8 @@ fn refuse(error: &clap::Error) -> ExitCode {
     let text = error.to_string();
     let what = text.split("\n\n").next().unwrap_or_default();
     let what: Vec<&str> = what.trim_start_matches("error:").split_whitespace().collect();
-    let verb = std::env::args().nth(1).filter(|word| Arguments::command().find_subcommand(word).is_some());
+    let verb = std::env::args_os().nth(1).and_then(|word| word.into_string().ok());
+    let verb = verb.filter(|word| Arguments::command().find_subcommand(word).is_some());
     let help = ["rigel".into(), verb.unwrap_or_default(), "--help".into()].join(" ").replace("  ", " ");
     eprintln!("rigel: {}; see `{help}`", what.join(" "));
     ExitCode::from(2)

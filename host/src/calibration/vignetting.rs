@@ -1,7 +1,6 @@
 //! The fall-off of light towards the corners, learnt from photographs of an even surface.
 
 use nalgebra::{DMatrix, DVector};
-use serde::{Deserialize, Serialize};
 
 use crate::picture::Picture;
 use crate::radiance::{NoiseModel, RadianceImage, Response};
@@ -11,8 +10,8 @@ use crate::{Error, Result};
 const SQUARE: usize = 8;
 
 /// Relative illumination: exp(Σ c_k r^(2k+2)), 1 at the centre, r being the distance from the centre in units of half
-/// the picture's diagonal. The exponential keeps it positive however it is extrapolated. Saved as TOML by its fields.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+/// the picture's diagonal. The exponential keeps it positive however it is extrapolated.
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Vignetting {
     /// Width of the photographs it was learnt from, pixels.
     pub width: u32,
@@ -283,11 +282,5 @@ mod tests {
                 .to_string()
                 .contains("saturated")
         );
-    }
-
-    #[test]
-    fn a_saved_fall_off_reads_back() {
-        let text = toml::to_string(&truth()).unwrap();
-        assert_eq!(toml::from_str::<Vignetting>(&text).unwrap(), truth());
     }
 }

@@ -121,16 +121,6 @@ impl Fitter {
         Ok(fitter)
     }
 
-    /// The model that is fitted.
-    pub fn model(&self) -> Model {
-        self.model
-    }
-
-    /// The weight of the harmonics' smoothness, given or chosen; 0 for other models.
-    pub fn penalty(&self) -> f64 {
-        self.penalty
-    }
-
     /// The absolute part of the expected error, radiance.
     pub fn floor(&self) -> f64 {
         self.floor
@@ -156,11 +146,6 @@ impl Fitter {
         samples.weights = weights;
         let (residual, relative_residual) = self.residuals(&samples, &parameters);
         TexelFit { parameters, residual, relative_residual, views: samples.len() as u32, flags }
-    }
-
-    /// Fits the texels of a tile one after the other.
-    pub fn fit_tile(&self, texels: &[TexelObservations]) -> Vec<TexelFit> {
-        texels.iter().map(|texel| self.fit(texel)).collect()
     }
 
     fn solve(&self, samples: &Samples, before: Option<&[f32]>) -> (Vec<f32>, FitFlags) {

@@ -2,9 +2,11 @@
 
 use rayon::prelude::*;
 
+use super::HarmonicsMethod;
 use super::fitter::{FitOptions, Fitter};
 use super::model::Model;
 use crate::observation::TexelObservations;
+use crate::progress::Progress;
 use crate::{Error, Result};
 
 /// How well a model did.
@@ -21,18 +23,29 @@ pub struct Candidate {
 /// The views are dealt into this many parts, each predicted from the others.
 const PARTS: u32 = 5;
 
+/// The models worth choosing among: all but those that are kept for comparison only.
+pub fn candidates() -> Vec<Model> {
+    let kept_for_comparison = |model: &Model| match model {
+        Model::Harmonics { method, .. } => *method != HarmonicsMethod::Smoothed,
+        _ => false,
+    };
+    Model::all().into_iter().filter(|model| !kept_for_comparison(model)).collect()
+}
+
 /// Ranks `models` on a `sample` of a surface's texels: best first, where one within 5 % of the best error and smaller
 /// counts as better. Models that need more views than there are take no part.
 ///
 /// # Errors
-/// [`Error::Request`] when no model can be fitted to the sample.
+/// [`Error::Request`] when no model can be fitted to the sample; [`Error::Interrupted`].
 pub fn choose_model(
     sample: &[TexelObservations],
     models: &[Model],
     options: &FitOptions,
+    progress: &dyn Progress,
 ) -> Result<Vec<Candidate>> {
     let mut ranking = Vec::new();
-    for &model in models {
+    for (index, &model) in models.iter().enumerate() {
+        progress.step(index, models.len())?;
         if let Some(held_out_error) = held_out_error(sample, model, options) {
             ranking.push(Candidate { model, held_out_error, bytes_per_texel: model.bytes_per_texel() });
         }

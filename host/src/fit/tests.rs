@@ -293,7 +293,7 @@ fn the_data_choose_the_smallest_model_that_predicts_them() {
     let mut best = |truth: &dyn Fn(Vec3) -> [f32; 3]| {
         let mut texels = vec![observe(&cap(60, 1.2), truth); 4];
         texels.iter_mut().for_each(|texel| noisy(texel, &mut random));
-        choose_model(&texels, &models, &FitOptions::default()).unwrap()[0].model
+        choose_model(&texels, &models, &FitOptions::default(), &crate::progress::Silent).unwrap()[0].model
     };
     assert_eq!(best(&|_| [0.4, 0.5, 0.6]), Model::Constant);
     let shiny = lobe(30.0, Vec3::new(0.3, 0.3, 0.9));

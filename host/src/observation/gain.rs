@@ -13,6 +13,9 @@ use crate::{Error, Result};
 pub(super) fn estimate(logs: &[Vec<f32>], names: &[String]) -> Result<Vec<f64>> {
     let views = names.len();
     let mut gains = vec![0f32; views];
+    // A texel that a single view measured agrees with any gain: it must not vote for the present one.
+    let shared = |texel: &&Vec<f32>| texel.iter().filter(|log| !log.is_nan()).count() >= 2;
+    let logs: Vec<&Vec<f32>> = logs.iter().filter(shared).collect();
     for _ in 0..50 {
         let references: Vec<f32> =
             logs.iter().map(|texel| median(texel.iter().zip(&gains).map(|(log, gain)| log - gain))).collect();
@@ -73,9 +76,20 @@ mod tests {
     }
 
     #[test]
+    fn texels_of_a_single_view_do_not_pin_the_gains() {
+        let names = ["a".to_string(), "b".to_string()];
+        let mut logs = vec![vec![4f32.ln(), 0.0]; 40];
+        logs.extend(vec![vec![1.0, f32::NAN]; 60]);
+        logs.extend(vec![vec![f32::NAN, 2.0]; 60]);
+        let gains = estimate(&logs, &names).unwrap();
+        assert!((gains[0] / gains[1] - 4.0).abs() < 1e-3, "{gains:?}");
+    }
+
+    #[test]
     fn a_view_apart_from_the_others_is_named() {
-        let logs = vec![vec![0.0, f32::NAN]; 3];
-        let error = estimate(&logs, &["a".into(), "b".into()]).unwrap_err().to_string();
+        let mut logs = vec![vec![0.0, f32::NAN, 0.0]; 3];
+        logs.extend(vec![vec![f32::NAN, 1.0, f32::NAN]; 3]);
+        let error = estimate(&logs, &["a".into(), "b".into(), "c".into()]).unwrap_err().to_string();
         assert!(error.contains("view b"), "{error}");
     }
 }

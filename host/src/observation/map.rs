@@ -19,6 +19,9 @@ use super::TexelObservations;
 use crate::geometry::{Surface, Texels};
 use crate::{Error, Result};
 
+/// How many texels, of how many tiles, stand for a surface.
+const SAMPLED_TEXELS: usize = 400;
+const SAMPLED_TILES: usize = 40;
 const MAGIC: &[u8; 8] = b"RIGELOBS";
 const FORMAT: u32 = 1;
 /// Half floats for each observation: radiance, standard deviation, mask.
@@ -189,6 +192,22 @@ impl ObservationMap {
         &self.path
     }
 
+    /// A few hundred texels spread over the whole surface, without some views: enough to settle what is common to it.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the file cannot be mapped.
+    pub fn sample(&self, without: &[u32]) -> Result<Vec<TexelObservations>> {
+        let tiles = self.header.tiles().count();
+        let looked_at = tiles.min(SAMPLED_TILES);
+        let mut sample = vec![];
+        for i in 0..looked_at {
+            let tile = self.tile(i * tiles / looked_at)?;
+            let step = (tile.len() * looked_at / SAMPLED_TEXELS).max(1);
+            sample.extend(tile.iter().step_by(step).map(|(_, texel)| texel.without(without)));
+        }
+        Ok(sample)
+    }
+
     /// Part of the observations (texels times views) that are absent: saturated, too dark, or not in the picture.
     ///
     /// # Errors
@@ -219,7 +238,7 @@ impl ObservationMap {
         }
         // SAFETY: the map is read only and lives as long as this call; the file is complete (checked when opened) and was
         // renamed into its place, so nobody of ours writes to it or shortens it.
-        #[expect(unsafe_code, reason = "a memory map is the only way to read a tile without copying it")]
+        #[expect(unsafe_code, reason = "observation maps are read through a memory map, of which only the tile in use is resident")]
         let bytes = unsafe {
             MmapOptions::new().offset(self.start + (tile * length) as u64).len(length).map(&self.file)
         }

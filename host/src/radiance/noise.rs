@@ -1,15 +1,12 @@
 //! How much the exposure that a level stands for varies: shot noise, read noise, and the noise of levels themselves.
 
-use serde::{Deserialize, Serialize};
-
 use super::samples::Block;
 use super::{Response, Samples};
 use crate::picture::Picture;
 
 /// The variance of an exposure x (response table's unit), per channel:
 /// `shot * x + read + slope(x)² * level`, where the slope is the response's: exposure per level.
-/// Saved as TOML by its fields.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct NoiseModel {
     /// Variance per exposure: the photons' own.
     pub shot: [f64; 3],
@@ -234,13 +231,6 @@ mod tests {
                 assert!((0.75..1.33).contains(&ratio), "noise x{scale}, level {level}: {ratio}");
             }
         }
-    }
-
-    #[test]
-    fn a_saved_model_reads_back() {
-        let noise = NoiseModel::assumed(&Response::srgb(255));
-        let text = toml::to_string(&noise).unwrap();
-        assert_eq!(toml::from_str::<NoiseModel>(&text).unwrap(), noise);
     }
 
     #[test]

@@ -110,6 +110,9 @@ impl Response {
         if !known {
             return Err(Error::input(path, format!("it has {levels} levels, not 256 or 65536"), remedy));
         }
+        if exposure.iter().any(|table| table[middle_level(levels)] <= 0.0) {
+            return Err(Error::input(path, "its middle level stands for no exposure at all", remedy));
+        }
         Ok(Self { exposure })
     }
 }
@@ -145,6 +148,7 @@ mod tests {
             good.replacen("e0", "x", 1),
             [&lines[..100], &["99,0,0,0"], &lines[101..]].concat().join("\n"),
             good.replace("\n90,", "\n90,NaN,"),
+            (0..256).fold(String::from("level,R,G,B\n"), |text, level| text + &format!("{level},0,0,0\n")),
         ];
         for text in broken {
             std::fs::write(&path, text).unwrap();

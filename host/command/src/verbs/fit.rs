@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use rigel::evaluate::{evaluate as score, read_references, session_references};
-use rigel::fit::{FitFlags, FitOptions, Model, choose_model, fit_surface, sample};
+use rigel::fit::{FitFlags, FitOptions, Model, candidates, choose_model};
 use rigel::geometry::{Lens, Pose};
 use rigel::observation::ObservationMap;
-use rigel::parameter_map::ParameterMap;
+use rigel::parameter_map::{ParameterMap, fit_surface};
 use rigel::render::{gamma_for_median, render as draw};
 use rigel::session::Session;
 use rigel::view_file::read_camera;
@@ -43,7 +43,7 @@ pub fn fit(arguments: &Fit) -> Result<()> {
 
 /// The smallest model that predicts held-out views about as well as the best one, and says why.
 fn choose(map: &ObservationMap, without: &[u32], options: &FitOptions) -> Result<Model> {
-    let ranking = choose_model(&sample(map, without)?, &Model::all(), options)
+    let ranking = choose_model(&map.sample(without)?, &candidates(), options, &Bar::new("choosing"))
         .map_err(|error| error.about(map.path()))?;
     for candidate in &ranking {
         println!(
@@ -71,12 +71,15 @@ fn summarise(fitted: &ParameterMap) {
             FitFlags::TOO_FEW_VIEWS,
             "were measured by fewer views than the model has unknowns and are constant",
         ),
-        (FitFlags::AT_BOUND, "have a parameter at its bound, or a lobe without radiance"),
+        (FitFlags::AT_BOUND, "have a parameter at its bound"),
         (FitFlags::NOT_CONVERGED, "did not converge"),
     ] {
         let count = diagnostics.flags.iter().filter(|flags| flags.contains(flag)).count();
         if count > 0 {
-            println!("warning: {count} of {} texels {meaning} (see the channel `flags`)", residuals.len());
+            println!(
+                "warning: {count} of {} texels {meaning} (see the channel `fit.flags`)",
+                residuals.len()
+            );
         }
     }
 }

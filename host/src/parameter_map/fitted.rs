@@ -5,14 +5,11 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
-use super::{FitFlags, FitOptions, Fitter, Model, TexelFit};
+use super::{Diagnostics, ParameterMap};
+use crate::fit::{FitFlags, FitOptions, Fitter, Model, TexelFit};
 use crate::observation::{ObservationMap, TexelObservations};
-use crate::parameter_map::{Diagnostics, ParameterMap};
 use crate::progress::Progress;
 use crate::{Error, Result};
-
-/// About so many texels are looked at before the fit, to settle what is common to the surface.
-const SAMPLE: usize = 400;
 
 /// Fits `model` to every texel of `map`, leaving out the views `without` (indices in the map's header).
 ///
@@ -28,7 +25,7 @@ pub fn fit_surface(
 ) -> Result<ParameterMap> {
     let header = map.header();
     let fitter =
-        Fitter::new(model, options, &sample(map, without)?).map_err(|error| error.about(map.path()))?;
+        Fitter::new(model, options, &map.sample(without)?).map_err(|error| error.about(map.path()))?;
     let (texels, count) = (header.texels, model.parameter_count());
     let target = Mutex::new((vec![0f32; texels.count() * count], empty(texels.count())));
     let (tiles, done) = (header.tiles().count(), AtomicUsize::new(0));
@@ -53,22 +50,6 @@ pub fn fit_surface(
     })?;
     let (parameters, diagnostics) = target.into_inner().map_err(|_| Error::Interrupted)?;
     Ok(ParameterMap { surface: header.surface, texels, model, parameters, diagnostics: Some(diagnostics) })
-}
-
-/// Texels spread over the whole surface.
-///
-/// # Errors
-/// [`Error::Io`] when the map cannot be read.
-pub fn sample(map: &ObservationMap, without: &[u32]) -> Result<Vec<TexelObservations>> {
-    let tiles = map.header().tiles().count();
-    let looked_at = tiles.min(40);
-    let mut sample = vec![];
-    for i in 0..looked_at {
-        let tile = map.tile(i * tiles / looked_at)?;
-        let step = (tile.len() * looked_at / SAMPLE).max(1);
-        sample.extend(tile.iter().step_by(step).map(|(_, texel)| leave_out(texel, without)));
-    }
-    Ok(sample)
 }
 
 fn leave_out(texel: &TexelObservations, without: &[u32]) -> TexelObservations {
