@@ -22,6 +22,7 @@ const HEIGHT: &str = "rigelSurfaceHeightM";
 const RESIDUAL: &str = "fit.residual";
 const VIEWS: &str = "fit.views";
 const FLAGS: &str = "fit.flags";
+const UNIT: &str = "the radiance of the session's pictures; metres, of a COLMAP model its own unit of length";
 const MAKE_AGAIN: &str = "fit the observation map again with `rigel fit`";
 
 impl ParameterMap {
@@ -68,6 +69,7 @@ impl ParameterMap {
             (Text::from(VERSION), AttributeValue::Text(env!("CARGO_PKG_VERSION").into())),
             (Text::from(WIDTH), AttributeValue::F64(self.surface.width_m)),
             (Text::from(HEIGHT), AttributeValue::F64(self.surface.height_m)),
+            (Text::from("rigelUnit"), AttributeValue::Text(UNIT.into())),
         ]);
         let size = (self.texels.columns as usize, self.texels.rows as usize);
         let layer = Layer::new(
