@@ -234,6 +234,18 @@ mod tests {
     }
 
     #[test]
+    fn views_whose_files_would_meet_or_lie_elsewhere_are_refused() {
+        for name in ["view000", "", "../view001", "a\\b"] {
+            let folder = tempfile::tempdir().unwrap();
+            let mut twice = manifest();
+            twice.views[1].name = name.into();
+            Session::create(folder.path(), twice).unwrap();
+            let message = Session::open(folder.path()).unwrap_err().to_string();
+            assert!(message.contains("session.toml") && message.contains(name), "{message}");
+        }
+    }
+
+    #[test]
     fn an_occupied_folder_is_refused() {
         let folder = tempfile::tempdir().unwrap();
         fs::write(folder.path().join("precious.txt"), "x").unwrap();

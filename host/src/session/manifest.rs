@@ -1,5 +1,6 @@
 //! The manifest of a session: what was planned. People may read and edit it.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
@@ -82,7 +83,8 @@ impl Manifest {
     /// Reads a manifest.
     ///
     /// # Errors
-    /// [`Error::Input`] when it is damaged, of another version, or names a lens that it does not have.
+    /// [`Error::Input`] when it is damaged, of another version, names a lens that it does not have, or a view has the name
+    /// of another one or one that names no file.
     pub fn read(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(Error::io("read", path))?;
         let manifest: Self = toml::from_str(&text).map_err(|error| {
@@ -103,6 +105,17 @@ impl Manifest {
                 format!("view {} has lens {}, but there are {}", view.name, view.lens, manifest.lenses.len()),
                 "correct the number",
             ));
+        }
+        let mut names = BTreeSet::new();
+        for View { name, .. } in &manifest.views {
+            let what = if name.is_empty() || name.contains(['/', '\\']) {
+                format!("names a view '{name}', which cannot begin a file's name")
+            } else if !names.insert(name) {
+                format!("names two views {name}")
+            } else {
+                continue;
+            };
+            return Err(Error::input(path, what, "correct the name or restore the file from a copy"));
         }
         Ok(manifest)
     }
