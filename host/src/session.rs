@@ -27,11 +27,19 @@ impl Session {
     /// Starts a session in `folder`, which must not exist or be empty.
     ///
     /// # Errors
-    /// [`Error::Input`] when the folder holds something, [`Error::Io`] when it cannot be written.
+    /// [`Error::Input`] when the folder holds something, [`Error::Io`] when it cannot be written; then it is as it was.
     pub fn create(folder: &Path, manifest: Manifest) -> Result<Self> {
         refuse_occupied(folder)?;
-        fs::create_dir_all(folder.join("photographs")).map_err(Error::io("create", folder))?;
-        manifest.write(&folder.join("session.toml"))?;
+        let existed = folder.exists();
+        if let Err(error) = make(folder, &manifest) {
+            // What is left behind would be neither empty nor a session. The error that matters is the first one.
+            let _ = fs::remove_file(folder.join("session.toml"));
+            let _ = fs::remove_dir(folder.join("photographs"));
+            if !existed {
+                let _ = fs::remove_dir(folder);
+            }
+            return Err(error);
+        }
         let journal = Journal::open(&folder.join("journal.jsonl"))?;
         Ok(Self { folder: folder.into(), manifest, journal })
     }
@@ -152,6 +160,13 @@ impl Session {
             )),
         }
     }
+}
+
+fn make(folder: &Path, manifest: &Manifest) -> Result<()> {
+    fs::create_dir_all(folder).map_err(Error::io("create", folder))?;
+    manifest.write(&folder.join("session.toml"))?;
+    let photographs = folder.join("photographs");
+    fs::create_dir(&photographs).map_err(Error::io("create", &photographs))
 }
 
 fn refuse_occupied(folder: &Path) -> Result<()> {

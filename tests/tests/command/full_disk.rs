@@ -34,6 +34,7 @@ fn pictures(folder: &Path) {
 const CASES: &[Case] = &[
     (nothing, &["import", "photos", "new", "--csv", "views.csv"], "new"),
     (nothing, &["import", "photos", "new", "--csv", "views.csv", "--flats", "photos/view000_0.png"], "new"),
+    (nothing, &["capture", "new"], "new"),
     (one_view_less, &["radiance", "session", "--response", "srgb"], "session/radiance/"),
     (nothing, &["radiance", "session", "--response", "linear"], "session/radiance"),
     (nothing, &["observe", "session", "--texels", "20x15"], "session/observations.rigel"),
