@@ -1,5 +1,7 @@
 //! A capture session: the rig goes from view to view, the camera brackets each until no pixel is saturated.
 
+use std::path::Path;
+
 use crate::camera::Camera;
 use crate::picture::Picture;
 use crate::progress::Progress;
@@ -122,7 +124,8 @@ pub fn capture(
     progress.step(total, total)
 }
 
-/// The recursion "halve the time until no pixel is saturated" (thesis, chapter 7).
+/// The recursion "halve the time until no pixel is saturated" (thesis, chapter 7). What an interrupted view already has is
+/// kept; a photograph whose file is missing or damaged is taken again, and its later record then counts.
 fn photograph_view(
     session: &mut Session,
     view: usize,
@@ -130,30 +133,44 @@ fn photograph_view(
     times: &[f64],
     interrupted: &dyn Fn() -> Result<()>,
 ) -> Result<()> {
-    let taken = session.photographs(view);
-    let count = taken.len();
-    if let Some(last) = taken.last()
-        && !is_saturated(&Picture::read(session.photograph_path(last))?)
-    {
-        return Ok(());
-    }
-    for (index, &time) in times.iter().enumerate().skip(count) {
+    for (index, &time) in times.iter().enumerate() {
         interrupted()?;
-        let stem = session
-            .folder()
-            .join("photographs")
-            .join(format!("{}_{index}", session.manifest.views[view].name));
-        let shot = camera.photograph(time, &stem)?;
-        // Reading the file back also proves that the camera wrote it whole.
-        let picture = Picture::read(&shot.file)?;
-        let file =
-            shot.file.strip_prefix(session.folder()).unwrap_or(&shot.file).to_string_lossy().into_owned();
-        session.record(Event::Photograph(Photograph { view, file, exposure_s: Some(shot.exposure_s) }))?;
+        let stem = format!("photographs/{}_{index}", session.manifest.views[view].name);
+        let picture = match kept(session, view, &stem)? {
+            Some(picture) => picture,
+            None => {
+                let shot = camera.photograph(time, &session.folder().join(&stem))?;
+                // Reading the file back also proves that the camera wrote it whole.
+                let picture = Picture::read(&shot.file)?;
+                let file = shot.file.strip_prefix(session.folder()).unwrap_or(&shot.file);
+                // The journal is the same on every system.
+                let file = file.to_string_lossy().replace('\\', "/");
+                let exposure_s = Some(shot.exposure_s);
+                session.record(Event::Photograph(Photograph { view, file, exposure_s }))?;
+                picture
+            }
+        };
         if !is_saturated(&picture) {
             break;
         }
     }
     Ok(())
+}
+
+/// The photograph of that stem which the journal has, unless its file is missing or damaged.
+fn kept(session: &Session, view: usize, stem: &str) -> Result<Option<Picture>> {
+    let photographs = session.photographs(view);
+    let Some(photograph) =
+        photographs.iter().find(|photograph| Path::new(&photograph.file).with_extension("") == Path::new(stem))
+    else {
+        return Ok(None);
+    };
+    match Picture::read(session.photograph_path(photograph)) {
+        Ok(picture) => Ok(Some(picture)),
+        Err(Error::Input { .. }) => Ok(None),
+        Err(Error::Io { source, .. }) if source.kind() == std::io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(error),
+    }
 }
 
 /// Pan and tilt of a view, radians.

@@ -12,8 +12,9 @@ use crate::{Error, Result};
 /// Whatever `write` returns, or the failure to rename; then the temporary file is removed and what stood at `path` is untouched.
 pub fn write_beside(path: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
     let temporary = temporary_for(path);
-    let finished =
-        write(&temporary).and_then(|()| fs::rename(&temporary, path).map_err(Error::io("write", path)));
+    let finished = write(&temporary)
+        .and_then(|()| sync(&temporary).map_err(Error::io("write", path)))
+        .and_then(|()| fs::rename(&temporary, path).map_err(Error::io("write", path)));
     if finished.is_err() {
         remove(&temporary);
     }
@@ -30,6 +31,14 @@ pub fn write_beside(path: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Res
 /// `path`, and `rest` in it where there is any.
 fn named(path: &Path, rest: &Path) -> PathBuf {
     if rest.as_os_str().is_empty() { path.into() } else { path.join(rest) }
+}
+
+/// Waits until a file's content is on the disk: after a power cut a renamed file must not be empty.
+fn sync(temporary: &Path) -> std::io::Result<()> {
+    if temporary.is_file() {
+        fs::OpenOptions::new().write(true).open(temporary)?.sync_all()?;
+    }
+    Ok(())
 }
 
 /// Best effort: the error that matters is the one that made this necessary.
@@ -60,7 +69,8 @@ pub fn write_together(folder: &Path, files: &[(String, Vec<u8>)]) -> Result<()> 
     }
     let paths: Vec<PathBuf> = files.iter().map(|(name, _)| folder.join(name)).collect();
     let written = paths.iter().zip(files).try_for_each(|(path, (_, bytes))| {
-        fs::write(temporary_for(path), bytes).map_err(Error::io("write", path))
+        let temporary = temporary_for(path);
+        fs::write(&temporary, bytes).and_then(|()| sync(&temporary)).map_err(Error::io("write", path))
     });
     let finished = written.and_then(|()| {
         paths

@@ -130,6 +130,38 @@ fn an_interrupt_at_any_step_leaves_a_session_that_resumes() {
     }
 }
 
+/// After a power cut the last photograph may be empty although the journal has it.
+#[test]
+fn a_photograph_that_is_missing_or_damaged_is_taken_again() {
+    for (lost, damage) in [(0, None), (0, Some("half")), (1, Some("")), (2, None)] {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = folder.path().join("s");
+        let simulated = rig(Faults::default());
+        let mut serial = SerialRig::open(simulated.port_name()).unwrap();
+        let mut session = Session::create(&folder, manifest(&serial)).unwrap();
+        capture(&mut session, &mut serial, &mut camera(&simulated), &Silent).unwrap();
+        let view = (0..VIEWS).find(|&view| session.photographs(view).len() == 3).unwrap();
+        let count = session.photographs(view).len();
+        let path = session.photograph_path(session.photographs(view)[lost]);
+        drop((session, serial, simulated));
+        // The view is as it is when the capture ends before it is done.
+        let journal = folder.join("journal.jsonl");
+        let text = std::fs::read_to_string(&journal).unwrap();
+        let done = format!("{{\"view_done\":{{\"view\":{view}}}}}\n");
+        assert!(text.contains(&done));
+        std::fs::write(&journal, text.replace(&done, "")).unwrap();
+        match damage {
+            Some(content) => std::fs::write(&path, content).unwrap(),
+            None => std::fs::remove_file(&path).unwrap(),
+        }
+        let before = finished(&Session::open(&folder).unwrap());
+        resume_and_check(&folder, &before);
+        let session = Session::open(&folder).unwrap();
+        assert_eq!(session.photographs(view).len(), count);
+        assert!(session.photographs(view).iter().all(|p| Picture::read(session.photograph_path(p)).is_ok()));
+    }
+}
+
 #[test]
 fn what_cannot_be_done_is_refused_before_anything_moves() {
     let simulated = rig(Faults::default());

@@ -1,5 +1,7 @@
 //! The append-only journal of a session: one JSON object per line, flushed to the disk before the next step.
 
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::fs::{File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -98,12 +100,21 @@ impl Journal {
         file.sync_data()
     }
 
-    /// All photographs, in order.
+    /// All photographs, in order. Of a file that was taken again the last record counts, in place of the first.
     pub fn photographs(&self) -> impl Iterator<Item = &Photograph> {
-        self.events.iter().filter_map(|event| match event {
-            Event::Photograph(photograph) => Some(photograph),
-            Event::ViewDone { .. } => None,
-        })
+        let mut photographs: Vec<&Photograph> = vec![];
+        let mut places = HashMap::new();
+        for event in &self.events {
+            let Event::Photograph(photograph) = event else { continue };
+            match places.entry(&photograph.file) {
+                Entry::Occupied(place) => photographs[*place.get()] = photograph,
+                Entry::Vacant(place) => {
+                    place.insert(photographs.len());
+                    photographs.push(photograph);
+                }
+            }
+        }
+        photographs.into_iter()
     }
 
     /// Whether all photographs of `view` were taken.
