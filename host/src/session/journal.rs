@@ -64,7 +64,7 @@ impl Journal {
                     Error::input(
                         path,
                         format!("line {} is damaged ({error})", index + 1),
-                        "remove that line; its photograph is then taken again",
+                        "restore the file from a copy, or remove that line and the `view_done` line of its view: `rigel capture --resume` then takes the photograph again",
                     )
                 })
             })
@@ -72,14 +72,18 @@ impl Journal {
         Ok(Self { path: path.into(), file: None, events })
     }
 
-    /// Appends an event and waits until it is on the disk.
+    /// Appends an event and waits until it is on the disk. After a failure the next one takes the place of what was torn.
     ///
     /// # Errors
     /// [`Error::Io`] when it cannot be written.
     pub fn append(&mut self, event: Event) -> Result<()> {
         let mut line = serde_json::to_string(&event).expect("events are plain data");
         line.push('\n');
-        self.append_line(&line).map_err(|source| Error::io("write", &self.path)(source))?;
+        if let Err(source) = self.append_line(&line) {
+            // Opened anew, the journal loses what was torn.
+            self.file = None;
+            return Err(Error::io("write", &self.path)(source));
+        }
         self.events.push(event);
         Ok(())
     }
@@ -120,5 +124,26 @@ impl Journal {
     /// Whether all photographs of `view` were taken.
     pub fn is_done(&self, view: usize) -> bool {
         self.events.iter().any(|event| matches!(event, Event::ViewDone { view: done } if *done == view))
+    }
+}
+
+#[cfg(all(test, target_os = "linux"))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_that_a_failed_write_tore_is_cut_by_the_next_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("journal.jsonl");
+        let mut journal = Journal::open(&path).unwrap();
+        journal.append(Event::ViewDone { view: 0 }).unwrap();
+        // A disk that is full after a few bytes of the line.
+        std::fs::write(&path, "{\"view_done\":{\"view\":0}}\n{\"view_d").unwrap();
+        journal.file = Some(OpenOptions::new().write(true).open("/dev/full").unwrap());
+        assert!(journal.append(Event::ViewDone { view: 1 }).is_err());
+        journal.append(Event::ViewDone { view: 2 }).unwrap();
+        let reopened = Journal::open(&path).unwrap();
+        assert_eq!([0, 1, 2].map(|view| reopened.is_done(view)), [true, false, true]);
+        assert_eq!(journal.events, reopened.events);
     }
 }

@@ -236,7 +236,7 @@ fn sessions_that_are_none_or_damaged() {
         Case {
             spoil: |folder| edit(&folder.join("session/journal.jsonl"), "\"view\":", "\"few\":"),
             arguments: RADIANCE,
-            names: &["journal.jsonl", "line 1", "remove that line"],
+            names: &["journal.jsonl", "line 1", "remove that line", "view_done"],
         },
         Case {
             spoil: |folder| {
