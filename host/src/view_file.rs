@@ -91,6 +91,11 @@ impl Calibration {
         self.lens.sized(width, height)
     }
 
+    /// How many poses the calibration has.
+    pub fn poses(&self) -> usize {
+        self.views.len()
+    }
+
     /// The pose of a view by its number.
     pub fn pose(&self, view: u32) -> Option<Pose> {
         self.views.iter().find(|(number, _)| *number == view).map(|(_, pose)| *pose)

@@ -100,7 +100,7 @@ pub fn import(
     manifest.distance_m = options.distance_m.or(manifest.distance_m);
     let sizes = check(&mut found, options, progress)?;
     if let Some(calibration) = &options.calibration {
-        apply(calibration, &mut manifest, sizes[0]);
+        apply(calibration, &mut manifest, sizes[0], &mut notes);
     }
     check_sizes(&found, &sizes, &mut manifest, &mut notes)?;
     file::write_beside(session_folder, |folder| {
@@ -153,12 +153,27 @@ fn check(found: &mut [Found], options: &Options, progress: &dyn Progress) -> Res
 }
 
 /// Gives every view the calibrated lens, and its pose where the calibration has one of its number.
-fn apply(calibration: &Calibration, manifest: &mut Manifest, (width, height): (u32, u32)) {
+fn apply(
+    calibration: &Calibration,
+    manifest: &mut Manifest,
+    (width, height): (u32, u32),
+    notes: &mut Vec<String>,
+) {
     manifest.lenses = vec![calibration.lens(width, height)];
+    let mut calibrated = 0;
     for view in &mut manifest.views {
         view.lens = 0;
         let number = view.name.trim_start_matches("view").parse().ok();
-        view.pose = number.and_then(|number| calibration.pose(number)).or(view.pose);
+        if let Some(pose) = number.and_then(|number| calibration.pose(number)) {
+            view.pose = Some(pose);
+            calibrated += 1;
+        }
+    }
+    let (poses, views) = (calibration.poses(), manifest.views.len());
+    if poses > 0 && calibrated < views.max(poses) {
+        notes.push(format!(
+            "{calibrated} of {views} views have one of the calibration's {poses} poses; the others stay where pan and tilt or the model put them"
+        ));
     }
 }
 
@@ -209,14 +224,28 @@ fn exif_exposure_s(path: &Path) -> Option<f64> {
     }
 }
 
+/// The name of a file that is copied to where the files of `names` already are.
+fn unused_name<'a>(path: &'a Path, names: &mut BTreeMap<String, &'a Path>) -> Result<String> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    match names.insert(name.clone(), path) {
+        None => Ok(name),
+        Some(other) => Err(Error::input(
+            path,
+            format!("has the same name as {}", other.display()),
+            "rename one of them",
+        )),
+    }
+}
+
 fn copy_flats(flats: &[PathBuf], folder: &Path) -> Result<()> {
     let target = folder.join("flats");
     if !flats.is_empty() {
         fs::create_dir(&target).map_err(Error::io("create", &target))?;
     }
+    let mut names = BTreeMap::new();
     for path in flats {
         Picture::read(path)?;
-        let copy = target.join(path.file_name().unwrap_or_default());
+        let copy = target.join(unused_name(path, &mut names)?);
         fs::copy(path, &copy).map_err(Error::io("write", &copy))?;
     }
     Ok(())
@@ -227,15 +256,7 @@ fn fill(found: &[Found], manifest: Manifest, folder: &Path, progress: &dyn Progr
     let mut names = BTreeMap::new();
     for (index, photograph) in found.iter().enumerate() {
         progress.step(found.len() + index, 2 * found.len())?;
-        let name = photograph.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        if let Some(other) = names.insert(name.clone(), &photograph.path) {
-            return Err(Error::input(
-                &photograph.path,
-                format!("has the same name as {}", other.display()),
-                "rename one of them",
-            ));
-        }
-        let file = format!("photographs/{name}");
+        let file = format!("photographs/{}", unused_name(&photograph.path, &mut names)?);
         // The photograph was read before: what fails now is the copy.
         let copy = folder.join(&file);
         fs::copy(&photograph.path, &copy).map_err(Error::io("write", &copy))?;
