@@ -116,6 +116,9 @@ fn models_that_cannot_be_used() {
         (Box::new(replace("cameras.txt", "3 SIMPLE", "4 SIMPLE")), &["images.txt", "camera 3"]),
         (Box::new(replace("images.txt", "view002_1.png", "")), &["images.txt", "line 6"]),
         (Box::new(replace("images.txt", "view002_1.png", "none.png")), &["none.png", "check the path"]),
+        (Box::new(replace("cameras.txt", " 175 ", " 17S ")), &["cameras.txt", "line 2", "number"]),
+        (Box::new(replace("images.txt", " 7 ", " seven ")), &["images.txt", "line 3", "points"]),
+        (Box::new(replace("images.txt", " 7 ", " ")), &["images.txt", "line 3", "points"]),
         (
             Box::new(|model| fs::remove_file(model.join("images.txt")).unwrap()),
             &["images.txt", "check the path"],

@@ -93,8 +93,10 @@ fn read_cameras(path: &Path) -> Result<BTreeMap<u32, Lens>> {
         let [id, model, width, height, parameters @ ..] = &words[..] else {
             return Err(wrong("is cut short"));
         };
-        let numbers: Vec<f64> = parameters.iter().filter_map(|word| word.parse().ok()).collect();
-        let (Ok(id), Ok(width), Ok(height)) = (id.parse(), width.parse(), height.parse()) else {
+        let numbers: Option<Vec<f64>> = parameters.iter().map(|word| finite(word)).collect();
+        let (Ok(id), Ok(width), Ok(height), Some(numbers)) =
+            (id.parse(), width.parse(), height.parse(), numbers)
+        else {
             return Err(wrong("a number cannot be read"));
         };
         let zero = Lens { width, height, ..Lens::pinhole(1, 1, 1.0) };
@@ -140,7 +142,7 @@ fn read_images(path: &Path, cameras: &BTreeMap<u32, Lens>) -> Result<Vec<Image>>
             )
         };
         let words: Vec<&str> = line.split_whitespace().collect();
-        let numbers: Vec<f64> = words.iter().skip(1).take(7).filter_map(|word| word.parse().ok()).collect();
+        let numbers: Vec<f64> = words.iter().skip(1).take(7).filter_map(|word| finite(word)).collect();
         let (&[w, x, y, z, tx, ty, tz], Some(camera), true) =
             (&numbers[..], words.get(8).and_then(|word| word.parse::<u32>().ok()), words.len() > 9)
         else {
@@ -154,17 +156,14 @@ fn read_images(path: &Path, cameras: &BTreeMap<u32, Lens>) -> Result<Vec<Image>>
         }
         let camera_from_surface = rotation.normalize();
         let centre_m = -(camera_from_surface.inverse() * DVec3::new(tx, ty, tz));
-        let points: Vec<f64> = lines
-            .next()
-            .map_or("", |(_, line)| line)
-            .split_whitespace()
-            .filter_map(|word| word.parse().ok())
-            .collect();
-        let points = points
-            .chunks_exact(3)
-            .filter(|point| point[2] >= 0.0)
-            .map(|point| (DVec2::new(point[0] - 0.5, point[1] - 0.5), point[2] as i64))
-            .collect();
+        let (index, line) = lines.next().unwrap_or((index + 1, ""));
+        let points = read_points(line).ok_or_else(|| {
+            Error::input(
+                path,
+                format!("line {index}: is not a list of points, each x, y and number"),
+                "export the model again with COLMAP (as text)",
+            )
+        })?;
         images.push(Image {
             name: words[9..].join(" "),
             lens,
@@ -177,6 +176,24 @@ fn read_images(path: &Path, cameras: &BTreeMap<u32, Lens>) -> Result<Vec<Image>>
     }
     images.sort_by(|a, b| a.name.cmp(&b.name));
     Ok(images)
+}
+
+/// The pixels of an image's points, with the number of the point; those without a point (-1) are left out. `None` where a
+/// word is no number or missing.
+fn read_points(line: &str) -> Option<Vec<(DVec2, i64)>> {
+    let words: Vec<&str> = line.split_whitespace().collect();
+    let points: Vec<(DVec2, i64)> = words
+        .chunks(3)
+        .map(|words| match words {
+            [x, y, point] => Some((DVec2::new(finite(x)? - 0.5, finite(y)? - 0.5), point.parse().ok()?)),
+            _ => None,
+        })
+        .collect::<Option<_>>()?;
+    Some(points.into_iter().filter(|(_, point)| *point >= 0).collect())
+}
+
+fn finite(word: &str) -> Option<f64> {
+    word.parse().ok().filter(|number: &f64| number.is_finite())
 }
 
 /// Numbered lines, from 1, without comments.
