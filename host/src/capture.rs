@@ -51,7 +51,7 @@ pub fn bracket(manifest: &Manifest, camera: &dyn Camera) -> Result<Vec<f64>> {
     if !(shortest..=longest).contains(&longest_s) {
         return Err(Error::request(
             format!("the camera takes {shortest} to {longest} s, not {longest_s} s"),
-            "choose a time in this range with --longest-exposure",
+            "choose a time in this range with --longest-exposure-time",
         ));
     }
     Ok(std::iter::successors(Some(longest_s), |time| Some(time / 2.0))

@@ -28,7 +28,7 @@ type Texel = ((u32, u32), TexelObservations);
 fn session(folder: &Path) -> Option<Imported> {
     let model = data("multiview/desk_cube")?;
     let source = Source::Colmap { photographs: model.join("images"), model };
-    let options = Options { exposures_unknown: true, ..Options::default() };
+    let options = Options { exposure_times_unknown: true, ..Options::default() };
     let imported = import(&source, &folder.join("session"), &options, &Silent).unwrap();
     measure(&imported.session, &ResponseChoice::Srgb, &Silent).unwrap();
     Some(imported)

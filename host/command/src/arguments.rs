@@ -45,7 +45,7 @@ pub struct Demo {
 pub struct Capture {
     /// Folder of the session
     pub session: PathBuf,
-    /// The rig: a serial port such as /dev/ttyACM0, or `simulated`
+    /// The rig: `simulated`; a serial port such as /dev/ttyACM0 needs a camera that sees the rig, which is still to come
     #[arg(long, default_value = "simulated")]
     pub rig: String,
     /// The camera
@@ -58,14 +58,14 @@ pub struct Capture {
     #[arg(long, default_value_t = 73)]
     pub views: usize,
     /// Largest zenith angle, degrees
-    #[arg(long, default_value_t = 75.0)]
-    pub zenith_limit: f64,
+    #[arg(long = "zenith-limit", value_name = "DEGREES", default_value_t = 75.0)]
+    pub zenith_limit_deg: f64,
     /// Seed of the stratified sampling
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
     /// The first exposure time of each view, seconds; it is halved until no pixel is saturated
-    #[arg(long, default_value_t = 1.0)]
-    pub longest_exposure: f64,
+    #[arg(long = "longest-exposure-time", value_name = "SECONDS", default_value_t = 1.0)]
+    pub longest_exposure_time_s: f64,
     /// Print views, time and disk space; move and photograph nothing
     #[arg(long)]
     pub dry_run: bool,
@@ -104,8 +104,8 @@ pub struct Import {
     #[arg(long, value_parser = parse_surface)]
     pub surface: Option<Surface>,
     /// Distance from the rig's centre to the camera, such as 900mm
-    #[arg(long, value_parser = parse_length_m)]
-    pub distance: Option<f64>,
+    #[arg(long = "distance", value_name = "LENGTH", value_parser = parse_length_m)]
+    pub distance_m: Option<f64>,
     /// Lens and, if it has them, poses: TOML or JSON with OpenCV's names
     #[arg(long)]
     pub calibration: Option<PathBuf>,
@@ -117,13 +117,13 @@ pub struct Import {
     pub flats: Vec<PathBuf>,
     /// Exposure times in a list as OpenCV's samples have it: file name and 1/t on each line
     #[arg(long, conflicts_with = "csv")]
-    pub exposure_list: Option<PathBuf>,
+    pub exposure_times: Option<PathBuf>,
     /// How many photographs of a folder make a view (by default a view starts where an exposure time comes again)
-    #[arg(long)]
+    #[arg(long, conflicts_with_all = ["csv", "colmap"])]
     pub bracket: Option<usize>,
     /// Take photographs without exposure time; `observe` then estimates one gain for each view
     #[arg(long)]
-    pub exposures_unknown: bool,
+    pub exposure_times_unknown: bool,
 }
 
 #[derive(Args)]
@@ -196,7 +196,7 @@ pub struct Render {
 pub struct Evaluate {
     /// The parameter map
     pub map: PathBuf,
-    /// List of reference views (TOML or JSON): file, f or fx fy, cx cy, centre (mm), forward, up
+    /// List of reference views: `views` in TOML or JSON, or a JSON array; each with file, f or fx fy, cx cy, centre (mm), forward, up
     #[arg(long, required_unless_present = "session")]
     pub references: Option<PathBuf>,
     /// Where the list has the centre of the first pixel: 0 as OpenCV, or 0.5

@@ -31,17 +31,17 @@ pub struct Devices {
 }
 
 impl Devices {
-    /// Opens the rig at a port, or `simulated`, and a camera.
+    /// Opens the rig, `simulated`, and a camera. A rig at a port is refused until there is a camera that can see it.
     ///
     /// # Errors
     /// [`Error::Device`] when the rig does not answer, [`Error::Request`] when rig and camera do not go together.
     pub fn open(rig: &str, camera: CameraChoice) -> Result<Self> {
         let CameraChoice::Simulated = camera;
         if rig != "simulated" {
-            let rig = SerialRig::open(rig)?;
+            // Before the port is opened: a rig that is opened moves to its home.
             return Err(Error::request(
-                format!("the simulated camera cannot see {}", rig.describe()),
-                "use it with --rig simulated; cameras for a real rig are still to come",
+                format!("the only camera so far is the simulated one, which cannot see the rig at {rig}"),
+                "capture with --rig simulated",
             ));
         }
         let options = RigOptions {

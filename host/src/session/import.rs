@@ -50,11 +50,11 @@ pub struct Options {
     /// Flat-field photographs (an even surface), from which the vignetting is found.
     pub flats: Vec<PathBuf>,
     /// A list "file 1/t" per line, as OpenCV's samples have it, in place of EXIF.
-    pub exposure_list: Option<PathBuf>,
+    pub exposure_times: Option<PathBuf>,
     /// How many photographs of a folder make a view; by default a view starts where an exposure time comes again.
     pub bracket: Option<usize>,
     /// Photographs without exposure time are taken: `observe` then estimates one gain for each view.
-    pub exposures_unknown: bool,
+    pub exposure_times_unknown: bool,
 }
 
 /// What an import made, and what the user should know about it.
@@ -93,7 +93,14 @@ pub fn import(
         Source::Folder(path) => folder::read(path, options, &mut notes)?,
         Source::Csv { table, photographs } => table::read(table, photographs)?,
         Source::Colmap { model, photographs } => {
-            colmap::read(model, photographs, options.surface, &mut notes)?
+            let (manifest, mut found) = colmap::read(model, photographs, options.surface, &mut notes)?;
+            if let Some(list) = &options.exposure_times {
+                let times = folder::read_exposure_times(list)?;
+                for photograph in &mut found {
+                    photograph.exposure_s = Some(folder::listed_s(&times, &photograph.path)?);
+                }
+            }
+            (manifest, found)
         }
     };
     manifest.surface = options.surface.or(manifest.surface);
@@ -122,11 +129,11 @@ fn check(found: &mut [Found], options: &Options, progress: &dyn Progress) -> Res
             photograph.exposure_s = exif_exposure_s(&photograph.path);
         }
         match photograph.exposure_s {
-            None if !options.exposures_unknown => {
+            None if !options.exposure_times_unknown => {
                 return Err(Error::input(
                     &photograph.path,
                     "has no exposure time",
-                    "give the times with --csv or --exposure-list, or let `observe` estimate one gain for each view with --exposures-unknown",
+                    "give the times with --csv or --exposure-times, or let `observe` estimate one gain for each view with --exposure-times-unknown",
                 ));
             }
             Some(time) if !(time.is_finite() && time > 0.0) => {

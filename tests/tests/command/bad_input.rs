@@ -140,7 +140,7 @@ fn every_kind_of_photograph_cut_short_or_none_at_all() {
 
 fn refuse_photograph(folder: &Path, name: &str, what: &str) {
     let before = snapshot(folder);
-    let output = rigel(folder, &["import", "some", "new", "--exposures-unknown"]).output().unwrap();
+    let output = rigel(folder, &["import", "some", "new", "--exposure-times-unknown"]).output().unwrap();
     assert_refused(what, &output, &[name]);
     assert_untouched(what, &before, &snapshot(folder));
 }
@@ -530,6 +530,26 @@ fn words_that_mean_nothing() {
             spoil: nothing,
             arguments: &["import", "photos", "new", "--csv", "views.csv", "--colmap", "model"],
             names: &["--csv", "--colmap"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["import", "photos", "new", "--colmap", "model", "--bracket", "2"],
+            names: &["--bracket", "--colmap"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["capture", "new", "--rig", "/dev/null", "--dry-run"],
+            names: &["/dev/null", "simulated camera"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["capture", "new", "--views", "0"],
+            names: &["no views", "at least one"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["capture", "new", "--views", "4000000000"],
+            names: &["4000000000", "at most"],
         },
         Case {
             spoil: nothing,

@@ -18,7 +18,7 @@ pub fn capture(arguments: &Capture) -> Result<()> {
         let session = Session::open(&arguments.session)?;
         (session.manifest.clone(), session.done_views())
     } else {
-        (new_manifest(&devices, &directions(arguments)?, arguments.longest_exposure)?, vec![])
+        (new_manifest(&devices, &directions(arguments)?, arguments.longest_exposure_time_s)?, vec![])
     };
     let plan = plan(&manifest, &done, &devices.rig, &devices.camera)?;
     if arguments.dry_run {
@@ -50,7 +50,7 @@ pub fn capture(arguments: &Capture) -> Result<()> {
 }
 
 fn directions(arguments: &Capture) -> Result<Vec<DVec3>> {
-    let (count, limit_rad) = (arguments.views, arguments.zenith_limit.to_radians());
+    let (count, limit_rad) = (arguments.views, arguments.zenith_limit_deg.to_radians());
     match arguments.sampling {
         SamplingChoice::Spiral => spiral(count, limit_rad),
         SamplingChoice::Icosphere => icosphere_near(count, limit_rad),

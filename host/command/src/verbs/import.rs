@@ -27,12 +27,12 @@ pub fn import(arguments: &Import) -> Result<()> {
         .transpose()?;
     let options = Options {
         surface: arguments.surface,
-        distance_m: arguments.distance,
+        distance_m: arguments.distance_m,
         calibration,
         flats: arguments.flats.clone(),
-        exposure_list: arguments.exposure_list.clone(),
+        exposure_times: arguments.exposure_times.clone(),
         bracket: arguments.bracket,
-        exposures_unknown: arguments.exposures_unknown,
+        exposure_times_unknown: arguments.exposure_times_unknown,
     };
     let imported = run(&source, &arguments.session, &options, &Bar::new("importing"))?;
     for note in &imported.notes {

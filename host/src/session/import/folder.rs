@@ -38,20 +38,13 @@ pub(super) fn read(
     if others > 0 {
         notes.push(format!("{others} files in {} are no photographs: passed over", folder.display()));
     }
-    let times = options.exposure_list.as_deref().map(read_exposure_list).transpose()?;
+    let times = options.exposure_times.as_deref().map(read_exposure_times).transpose()?;
     let mut found = vec![];
     let mut members: Vec<Option<f64>> = vec![];
     let mut view = 0;
     for path in paths {
-        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let exposure_s = match &times {
-            Some(times) => Some(*times.get(&name).ok_or_else(|| {
-                Error::input(
-                    &path,
-                    "is not in the list of exposure times",
-                    "add a line for it or move it away",
-                )
-            })?),
+            Some(times) => Some(listed_s(times, &path)?),
             None => exif_exposure_s(&path),
         };
         let full = match options.bracket {
@@ -79,8 +72,20 @@ pub(super) fn read(
     Ok((Manifest { views, ..Manifest::new("folder") }, found))
 }
 
-/// Reads OpenCV's list of exposures: on each line a file name and the reciprocal of its time in seconds.
-fn read_exposure_list(path: &Path) -> Result<BTreeMap<String, f64>> {
+/// The exposure time of a photograph in a list, seconds.
+pub(super) fn listed_s(times: &BTreeMap<String, f64>, photograph: &Path) -> Result<f64> {
+    let name = photograph.file_name().unwrap_or_default().to_string_lossy();
+    times.get(&*name).copied().ok_or_else(|| {
+        Error::input(
+            photograph,
+            "is not in the list of exposure times",
+            "add a line for it or move it away",
+        )
+    })
+}
+
+/// Reads OpenCV's list of exposure times: on each line a file name and the reciprocal of its time in seconds.
+pub(super) fn read_exposure_times(path: &Path) -> Result<BTreeMap<String, f64>> {
     let text = std::fs::read_to_string(path).map_err(Error::io("read", path))?;
     let mut times = BTreeMap::new();
     for (index, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
@@ -88,7 +93,13 @@ fn read_exposure_list(path: &Path) -> Result<BTreeMap<String, f64>> {
         let entry = (words.next(), words.next().and_then(|word| word.parse::<f64>().ok()));
         match entry {
             (Some(name), Some(reciprocal)) if reciprocal.is_finite() && reciprocal > 0.0 => {
-                times.insert(name.to_owned(), 1.0 / reciprocal);
+                if times.insert(name.to_owned(), 1.0 / reciprocal).is_some() {
+                    return Err(Error::input(
+                        path,
+                        format!("line {} lists {name} a second time", index + 1),
+                        "remove one of its lines",
+                    ));
+                }
             }
             _ => {
                 return Err(Error::input(
