@@ -15,6 +15,9 @@ mod tour;
 
 pub use tour::{Stop, in_order, tour, tour_time_s};
 
+/// The most views of a sampling: for more, the tour's table of all pairs would not fit into memory.
+const MOST_VIEWS: usize = 20_000;
+
 /// Pan and tilt, radians, at which the rig shows the surface to its camera from `direction`: the inverse of
 /// [`crate::geometry::Pose::from_rig`]. The pan lies in (-π, π] and is 0 at the pole, the tilt is the zenith.
 pub fn pan_tilt(direction: DVec3) -> (f64, f64) {
@@ -32,7 +35,7 @@ pub fn pan_tilt(direction: DVec3) -> (f64, f64) {
 /// apart as the views along them.
 ///
 /// # Errors
-/// No view at all, or a limit outside (0, π/2].
+/// No view at all, more than 20 000, or a limit outside (0, π/2].
 pub fn spiral(count: usize, zenith_limit_rad: f64) -> Result<Vec<DVec3>> {
     check(count, zenith_limit_rad)?;
     let cap = 1.0 - zenith_limit_rad.cos();
@@ -52,13 +55,13 @@ pub fn spiral(count: usize, zenith_limit_rad: f64) -> Result<Vec<DVec3>> {
 /// the surface's own plane, from where nothing of it is seen, are not among them.
 ///
 /// # Errors
-/// More than 7 subdivisions (80 000 views), or a limit outside (0, π/2].
+/// More than 6 subdivisions or 20 000 views, or a limit outside (0, π/2].
 pub fn icosphere(subdivisions: u32, zenith_limit_rad: f64) -> Result<Vec<DVec3>> {
     check(1, zenith_limit_rad)?;
-    if subdivisions > 7 {
+    if subdivisions > 6 {
         return Err(Error::request(
             format!("{subdivisions} subdivisions make more views than anybody photographs"),
-            "choose at most 7",
+            "choose at most 6",
         ));
     }
     let (mut vertices, mut faces) = icosahedron();
@@ -77,6 +80,7 @@ pub fn icosphere(subdivisions: u32, zenith_limit_rad: f64) -> Result<Vec<DVec3>>
         faces = finer;
     }
     vertices.retain(|v| v.z > 1e-9 && azimuth_zenith(*v).1 <= zenith_limit_rad + 1e-9);
+    check(vertices.len().max(1), zenith_limit_rad)?;
     let key = |v: &DVec3| {
         let (azimuth_rad, zenith_rad) = azimuth_zenith(*v);
         // Vertices of one ring differ in their last bits.
@@ -89,16 +93,18 @@ pub fn icosphere(subdivisions: u32, zenith_limit_rad: f64) -> Result<Vec<DVec3>>
 /// The icosphere whose number of views within the limit comes nearest to `count`.
 ///
 /// # Errors
-/// Those of [`icosphere`].
+/// No view at all, more than 20 000, or a limit outside (0, π/2].
 pub fn icosphere_near(count: usize, zenith_limit_rad: f64) -> Result<Vec<DVec3>> {
+    check(count, zenith_limit_rad)?;
     nearest((0..=5).map(|subdivisions| icosphere(subdivisions, zenith_limit_rad)), count)
 }
 
 /// The latitude-longitude views whose number within the limit comes nearest to `count`.
 ///
 /// # Errors
-/// Those of [`latitude_longitude`].
+/// No view at all, more than 20 000, or a limit outside (0, π/2].
 pub fn latitude_longitude_near(count: usize, zenith_limit_rad: f64) -> Result<Vec<DVec3>> {
+    check(count, zenith_limit_rad)?;
     nearest((1..=40).map(|rings| latitude_longitude(rings, zenith_limit_rad)), count)
 }
 
@@ -111,7 +117,7 @@ fn nearest(choices: impl Iterator<Item = Result<Vec<DVec3>>>, count: usize) -> R
 /// 8.1.3). The number of views in a ring follows the sine of its zenith, so that they are as far apart as the rings.
 ///
 /// # Errors
-/// No ring at all, or a limit outside (0, π/2].
+/// No ring at all, more than 20 000 views, or a limit outside (0, π/2].
 pub fn latitude_longitude(rings: usize, zenith_limit_rad: f64) -> Result<Vec<DVec3>> {
     check(rings, zenith_limit_rad)?;
     let step_rad = zenith_limit_rad / rings as f64;
@@ -119,6 +125,7 @@ pub fn latitude_longitude(rings: usize, zenith_limit_rad: f64) -> Result<Vec<DVe
     for ring in 1..=rings {
         let zenith_rad = step_rad * ring as f64;
         let count = ((TAU * zenith_rad.sin() / step_rad).round() as usize).max(3);
+        check(views.len() + count, zenith_limit_rad)?;
         // Every other ring is turned by half a step, which leaves smaller holes.
         let turn = 0.5 * (ring % 2) as f64;
         views.extend((0..count).map(|i| unit_vector(TAU * (i as f64 + turn) / count as f64, zenith_rad)));
@@ -130,7 +137,7 @@ pub fn latitude_longitude(rings: usize, zenith_limit_rad: f64) -> Result<Vec<DVe
 /// 8.2), down to `zenith_limit_rad`. The same seed gives the same views in every release.
 ///
 /// # Errors
-/// No view at all, or a limit outside (0, π/2].
+/// No view at all, more than 20 000, or a limit outside (0, π/2].
 pub fn stratified(count: usize, zenith_limit_rad: f64, seed: u64) -> Result<Vec<DVec3>> {
     check(count, zenith_limit_rad)?;
     let cap = 1.0 - zenith_limit_rad.cos();
@@ -162,6 +169,12 @@ fn zenith_at(fall: f64) -> f64 {
 fn check(count: usize, zenith_limit_rad: f64) -> Result<()> {
     if count == 0 {
         return Err(Error::request("a sampling of no views", "ask for at least one view"));
+    }
+    if count > MOST_VIEWS {
+        return Err(Error::request(
+            format!("a sampling of {count} views"),
+            format!("ask for at most {MOST_VIEWS}"),
+        ));
     }
     if !(zenith_limit_rad > 0.0 && zenith_limit_rad <= FRAC_PI_2 + 1e-9) {
         return Err(Error::request(
@@ -313,6 +326,11 @@ mod tests {
         assert!(
             spiral(0, 1.0).is_err() && stratified(0, 1.0, 0).is_err() && latitude_longitude(0, 1.0).is_err()
         );
-        assert!(icosphere(8, 1.0).is_err());
+        assert!(icosphere(7, 1.0).is_err() && icosphere(6, FRAC_PI_2).is_err());
+        for count in [0, 20_001, usize::MAX] {
+            assert!(spiral(count, 1.0).is_err() && stratified(count, 1.0, 0).is_err());
+            assert!(icosphere_near(count, 1.0).is_err() && latitude_longitude_near(count, 1.0).is_err());
+        }
+        assert!(latitude_longitude(1000, 1.0).is_err());
     }
 }
