@@ -12,6 +12,9 @@ use serde::de::DeserializeOwned;
 use crate::geometry::{Lens, Pose};
 use crate::{Error, Result};
 
+/// The longest side of a picture.
+const MOST_PIXELS: u32 = 65535;
+
 /// A lens, and poses of views, that somebody else found.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Calibration {
@@ -103,7 +106,8 @@ impl Calibration {
 }
 
 impl ReferenceFile {
-    /// Reads a list of reference views; their files are relative to the list's folder.
+    /// Reads a list of reference views, `views` in TOML or JSON or a bare JSON array; their files are relative to the list's
+    /// folder.
     ///
     /// # Errors
     /// [`Error::Input`] when the list is damaged, empty, or lacks a field.
@@ -116,7 +120,15 @@ impl ReferenceFile {
             #[serde(flatten)]
             pose: PoseFile,
         }
-        let entries: Vec<Entry> = parse(path)?;
+        #[derive(Deserialize)]
+        struct List {
+            views: Vec<Entry>,
+        }
+        let text = read(path)?;
+        let entries: Vec<Entry> = match text.trim_start().starts_with('[') && is_json(&text) {
+            true => parse_text(path, &text)?,
+            false => parse_text::<List>(path, &text)?.views,
+        };
         if entries.is_empty() {
             return Err(Error::input(path, "lists no reference view", "list at least one"));
         }
@@ -158,6 +170,29 @@ pub fn read_camera(path: &Path, pixel_centre: f64) -> Result<(Lens, Pose)> {
 
 impl LensFile {
     fn check(mut self, path: &Path, pixel_centre: f64) -> Result<Self> {
+        if !(pixel_centre == 0.0 || pixel_centre == 0.5) {
+            return Err(Error::request(
+                format!("a first pixel whose centre is at {pixel_centre}"),
+                "choose 0 (as OpenCV) or 0.5",
+            ));
+        }
+        let Self { cx, cy, k1, k2, p1, p2, k3, .. } = self;
+        for (name, number) in
+            [("cx", cx), ("cy", cy), ("k1", k1), ("k2", k2), ("p1", p1), ("p2", p2), ("k3", k3)]
+        {
+            if !number.is_finite() {
+                return Err(Error::input(path, format!("{name} is {number}"), "write a number there"));
+            }
+        }
+        for (name, pixels) in [("width", self.width), ("height", self.height)] {
+            if pixels.is_some_and(|pixels| !(1..=MOST_PIXELS).contains(&pixels)) {
+                return Err(Error::input(
+                    path,
+                    format!("{name} is {} pixels", pixels.unwrap_or_default()),
+                    format!("write a number from 1 to {MOST_PIXELS}"),
+                ));
+            }
+        }
         self.fx = self.fx.or(self.f);
         self.fy = self.fy.or(self.f);
         self.cx -= pixel_centre;
@@ -206,10 +241,17 @@ impl PoseFile {
 }
 
 fn parse<T: DeserializeOwned>(path: &Path) -> Result<T> {
-    let text = std::fs::read_to_string(path).map_err(Error::io("read", path))?;
-    let parsed = match text.trim_start().chars().next() {
-        Some('{' | '[') => serde_json::from_str(&text).map_err(|error| error.to_string()),
-        _ => toml::from_str(&text).map_err(|error: toml::de::Error| error.message().to_owned()),
+    parse_text(path, &read(path)?)
+}
+
+fn read(path: &Path) -> Result<String> {
+    std::fs::read_to_string(path).map_err(Error::io("read", path))
+}
+
+fn parse_text<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T> {
+    let parsed = match is_json(text) {
+        true => serde_json::from_str(text).map_err(|error| error.to_string()),
+        false => toml::from_str(text).map_err(|error: toml::de::Error| error.message().to_owned()),
     };
     parsed.map_err(|what| {
         Error::input(
@@ -218,6 +260,16 @@ fn parse<T: DeserializeOwned>(path: &Path) -> Result<T> {
             "give TOML or JSON with fx, fy, cx, cy, centre, forward and up",
         )
     })
+}
+
+/// Whether a text is JSON rather than TOML, which may begin with a bracket too, but never with one before a brace.
+fn is_json(text: &str) -> bool {
+    let mut signs = text.chars().filter(|sign| !sign.is_whitespace());
+    match signs.next() {
+        Some('{') => true,
+        Some('[') => matches!(signs.next(), Some('{' | ']')),
+        _ => false,
+    }
 }
 
 #[cfg(test)]
@@ -254,5 +306,57 @@ mod tests {
             "f = 1.0\ncx = 1.0\ncy = 1.0\nwidth = 2\nheight = 2\ncentre = [0.0, 0.0, 9.0]\nforward = [0.0, 1.0, 0.0]\nup = [0.0, 2.0, 0.0]\n",
         );
         assert!(read_camera(parallel.path(), 0.0).unwrap_err().to_string().contains("parallel"));
+    }
+
+    const VIEW: &str = r#"{"file": "a.exr", "f": 500, "cx": 320, "cy": 240, "centre": [0, 0, 900],
+        "forward": [0, 0, -1], "up": [0, 1, 0]}"#;
+    const TOML_VIEW: &str = "file = \"a.exr\"\nf = 500\ncx = 320\ncy = 240\ncentre = [0, 0, 900]\nforward = [0, 0, -1]\nup = [0, 1, 0]\n";
+
+    #[test]
+    fn a_list_of_references_is_an_array_or_views() {
+        let array = ReferenceFile::read_list(file(&format!(" [ {VIEW} ]")).path(), 0.0).unwrap();
+        assert_eq!(array.len(), 1);
+        let inline = VIEW.replace("\": ", "\" = ").replace('\n', "");
+        for text in [
+            format!("{{\"views\": [{VIEW}]}}"),
+            format!("[[views]]\n{TOML_VIEW}"),
+            format!("# a comment\nviews = [{inline}]"),
+        ] {
+            let list = file(&text);
+            let read = ReferenceFile::read_list(list.path(), 0.0).unwrap();
+            assert_eq!((read[0].pose, read[0].lens), (array[0].pose, array[0].lens), "{text}");
+            assert_eq!(read[0].file, list.path().with_file_name("a.exr"));
+        }
+        for text in ["[]", "views = []", "[[view]]", "[", "[{]"] {
+            assert!(ReferenceFile::read_list(file(text).path(), 0.0).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn numbers_that_no_picture_has_are_refused() {
+        let good = format!("width = 640\nheight = 480\n{TOML_VIEW}");
+        read_camera(file(&good).path(), 0.0).unwrap();
+        for (from, to) in [
+            ("width = 640", "width = 0"),
+            ("width = 640", "width = 65536"),
+            ("height = 480", "height = 4294967295"),
+            ("f = 500", "f = inf"),
+            ("f = 500", "f = nan"),
+            ("cx = 320", "cx = nan"),
+            ("cx = 320", "cx = 320\nk1 = inf"),
+            ("0, 900", "0, inf"),
+            ("0, -1", "0, nan"),
+        ] {
+            assert!(good.contains(from));
+            let damaged = file(&good.replacen(from, to, 1));
+            assert!(read_camera(damaged.path(), 0.0).is_err(), "{to}");
+            if !from.contains("0,") {
+                assert!(Calibration::read(damaged.path(), 0.0).is_err(), "{to}");
+            }
+        }
+        for pixel_centre in [0.25, -0.5, f64::NAN] {
+            let message = read_camera(file(&good).path(), pixel_centre).unwrap_err().to_string();
+            assert!(message.contains("0.5"), "{message}");
+        }
     }
 }
