@@ -94,6 +94,28 @@ fn a_model_of_larger_photographs_is_scaled_and_the_result_is_right() {
     assert!(plain < 0.1 && (scaled - plain).abs() < 1e-4, "{plain} {scaled}");
 }
 
+#[test]
+fn a_list_of_exposure_times_counts_before_what_the_photographs_say() {
+    let folder = workshop();
+    write_model(&folder.path().join("model"), 1.0);
+    let line = |view: usize| format!("view{view:03}_1.png {}\n", 8 + view);
+    let import = ["import", "photos", "new", "--colmap", "model", "--exposure-times", "times.txt"];
+    let list = folder.path().join("times.txt");
+    for (text, names) in [
+        ((1..VIEWS).map(line).collect::<String>(), ["view000_1.png", "list of exposure times"]),
+        ((0..VIEWS).chain([3]).map(line).collect(), ["times.txt", "line 8"]),
+    ] {
+        fs::write(&list, text).unwrap();
+        assert_refused("a list with a mistake", &rigel(folder.path(), &import).output().unwrap(), &names);
+    }
+    fs::write(&list, (0..VIEWS).map(line).collect::<String>()).unwrap();
+    succeed(folder.path(), &import);
+    let session = Session::open(&folder.path().join("new")).unwrap();
+    for view in 0..VIEWS {
+        assert_eq!(session.photographs(view)[0].exposure_s, Some(1.0 / (8 + view) as f64));
+    }
+}
+
 /// What is done to a model.
 type Spoil = Box<dyn Fn(&Path)>;
 
