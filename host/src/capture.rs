@@ -160,8 +160,9 @@ fn photograph_view(
 /// The photograph of that stem which the journal has, unless its file is missing or damaged.
 fn kept(session: &Session, view: usize, stem: &str) -> Result<Option<Picture>> {
     let photographs = session.photographs(view);
-    let Some(photograph) =
-        photographs.iter().find(|photograph| Path::new(&photograph.file).with_extension("") == Path::new(stem))
+    let Some(photograph) = photographs
+        .iter()
+        .find(|photograph| Path::new(&photograph.file).with_extension("") == Path::new(stem))
     else {
         return Ok(None);
     };

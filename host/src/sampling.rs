@@ -15,7 +15,7 @@ mod tour;
 
 pub use tour::{Stop, in_order, tour, tour_time_s};
 
-/// The most views of a sampling: for more, the tour's table of all pairs would not fit into memory.
+/// The most views of a sampling: the tour's table of all pairs then takes 3 GB.
 const MOST_VIEWS: usize = 20_000;
 
 /// Pan and tilt, radians, at which the rig shows the surface to its camera from `direction`: the inverse of

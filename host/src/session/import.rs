@@ -236,11 +236,9 @@ fn unused_name<'a>(path: &'a Path, names: &mut BTreeMap<String, &'a Path>) -> Re
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     match names.insert(name.clone(), path) {
         None => Ok(name),
-        Some(other) => Err(Error::input(
-            path,
-            format!("has the same name as {}", other.display()),
-            "rename one of them",
-        )),
+        Some(other) => {
+            Err(Error::input(path, format!("has the same name as {}", other.display()), "rename one of them"))
+        }
     }
 }
 

@@ -3,7 +3,7 @@
 use glam::DVec3;
 use rigel::capture::{self, Plan, add_views, plan};
 use rigel::rig::Rig;
-use rigel::sampling::{icosphere_near, latitude_longitude_near, spiral, stratified, tour};
+use rigel::sampling::{Stop, icosphere_near, latitude_longitude_near, spiral, stratified, tour};
 use rigel::session::{Manifest, Session};
 use rigel::{Error, Result};
 
@@ -18,7 +18,9 @@ pub fn capture(arguments: &Capture) -> Result<()> {
         let session = Session::open(&arguments.session)?;
         (session.manifest.clone(), session.done_views())
     } else {
-        (new_manifest(&devices, &directions(arguments)?, arguments.longest_exposure_time_s)?, vec![])
+        let (manifest, _) =
+            new_manifest(&devices, &directions(arguments)?, arguments.longest_exposure_time_s)?;
+        (manifest, vec![])
     };
     let plan = plan(&manifest, &done, &devices.rig, &devices.camera)?;
     if arguments.dry_run {
@@ -37,7 +39,7 @@ pub fn capture(arguments: &Capture) -> Result<()> {
     capture::capture(&mut session, &mut devices.rig, &mut devices.camera, &Bar::new("capturing"))
         .inspect_err(|error| {
             if matches!(error, Error::Interrupted) {
-                eprintln!("go on with: rigel capture {} --resume", arguments.session.display());
+                println!("go on with: rigel capture {} --resume", arguments.session.display());
             }
         })?;
     let photographs: usize = session.done_views().iter().map(|&view| session.photographs(view).len()).sum();
@@ -59,8 +61,12 @@ fn directions(arguments: &Capture) -> Result<Vec<DVec3>> {
     }
 }
 
-/// A session of these directions, in the order of a short tour.
-pub fn new_manifest(devices: &Devices, directions: &[DVec3], longest_exposure_s: f64) -> Result<Manifest> {
+/// A session of these directions, in the order of a short tour, and that tour.
+pub fn new_manifest(
+    devices: &Devices,
+    directions: &[DVec3],
+    longest_exposure_s: f64,
+) -> Result<(Manifest, Vec<Stop>)> {
     let mut manifest = Manifest {
         distance_m: Some(devices.distance_m),
         longest_exposure_s: Some(longest_exposure_s),
@@ -68,8 +74,9 @@ pub fn new_manifest(devices: &Devices, directions: &[DVec3], longest_exposure_s:
         lenses: vec![devices.lens],
         ..Manifest::new(devices.describe())
     };
-    add_views(&mut manifest, &tour(directions, &devices.rig.limits())?);
-    Ok(manifest)
+    let stops = tour(directions, &devices.rig.limits())?;
+    add_views(&mut manifest, &stops);
+    Ok((manifest, stops))
 }
 
 fn say(plan: &Plan) {

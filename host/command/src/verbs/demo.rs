@@ -11,8 +11,7 @@ use rigel::geometry::Texels;
 use rigel::measure::{ResponseChoice, measure};
 use rigel::observation::{self, observe};
 use rigel::report::Report;
-use rigel::rig::Rig;
-use rigel::sampling::{icosphere_near, stratified, tour};
+use rigel::sampling::{icosphere_near, stratified};
 use rigel::session::Session;
 use rigel::{Error, Result, capture, file};
 
@@ -52,11 +51,10 @@ pub fn demo(arguments: &Demo) -> Result<()> {
     let mut directions = icosphere_near(73, ZENITH_LIMIT_DEG.to_radians())?;
     let seen = directions.len();
     directions.extend(stratified(HELD_OUT, HELD_OUT_LIMIT_DEG.to_radians(), 1)?);
-    let stops = tour(&directions, &devices.rig.limits())?;
+    let (manifest, stops) = new_manifest(&devices, &directions, LONGEST_EXPOSURE_S)?;
     let held_out: Vec<usize> = (0..stops.len()).filter(|&stop| stops[stop].view >= seen).collect();
 
-    let mut session =
-        Session::create(&out.join("session"), new_manifest(&devices, &directions, LONGEST_EXPOSURE_S)?)?;
+    let mut session = Session::create(&out.join("session"), manifest)?;
     devices.photograph_flats(session.folder())?;
     capture::capture(&mut session, &mut devices.rig, &mut devices.camera, &Bar::new("capturing"))?;
     let photographs: usize = session.done_views().iter().map(|&view| session.photographs(view).len()).sum();

@@ -76,11 +76,7 @@ pub(super) fn read(
 pub(super) fn listed_s(times: &BTreeMap<String, f64>, photograph: &Path) -> Result<f64> {
     let name = photograph.file_name().unwrap_or_default().to_string_lossy();
     times.get(&*name).copied().ok_or_else(|| {
-        Error::input(
-            photograph,
-            "is not in the list of exposure times",
-            "add a line for it or move it away",
-        )
+        Error::input(photograph, "is not in the list of exposure times", "add a line for it or move it away")
     })
 }
 
