@@ -13,6 +13,7 @@ use std::process::{Child, Command, Output, Stdio};
 use std::time::Duration;
 
 use rigel::radiance::RadianceImage;
+use rigel::session::Session;
 
 use common::{IMPORT, VIEWS, assert_refused, assert_untouched, rigel, snapshot, succeed, workshop};
 
@@ -87,6 +88,42 @@ fn assert_same_radiance(left: &Path, right: &Path) {
             false => fs::read(left).unwrap() == fs::read(right).unwrap(),
         };
         assert!(same, "{} differs", name.display());
+    }
+}
+
+#[test]
+fn a_capture_goes_on_where_it_stopped() {
+    let folder = tempfile::tempdir().unwrap();
+    let session = folder.path().join("session");
+    let mut child = start(folder.path(), &["capture", "session", "--views", "17"]);
+    wait_for(&mut child, |_| {
+        let journal = fs::read_to_string(session.join("journal.jsonl")).ok()?;
+        (journal.matches("view_done").count() >= 2).then_some(())
+    });
+    interrupt(&child);
+    let output = child.wait_with_output().unwrap();
+    assert_interrupted(&output);
+    let told = String::from_utf8(output.stdout).unwrap();
+    assert!(told.contains("rigel capture session --resume"), "{told}");
+
+    let half = Session::open(&session).unwrap();
+    let views = half.manifest.views.len();
+    let done = half.done_views();
+    assert!(done.len() >= 2 && done.len() < views, "{} of {views} views are done", done.len());
+    let photographs = done.iter().flat_map(|&view| half.photographs(view));
+    let photographs: Vec<_> = photographs.map(|photograph| half.photograph_path(photograph)).collect();
+    let read = || photographs.iter().map(|path| fs::read(path).unwrap()).collect::<Vec<_>>();
+    let before = read();
+    let left = snapshot(folder.path());
+    assert!(left.keys().all(|name| !name.to_string_lossy().contains("rigel-tmp")), "{:?}", left.keys());
+
+    let told = succeed(folder.path(), &["capture", "session", "--resume"]);
+    assert!(told.contains(&format!("{} views to photograph", views - done.len())), "{told}");
+    let whole = Session::open(&session).unwrap();
+    assert_eq!((&whole.manifest, whole.done_views().len()), (&half.manifest, views));
+    assert!(read() == before, "a finished photograph was taken again");
+    for view in 0..views {
+        assert!(whole.photographs(view).iter().all(|photograph| whole.photograph_path(photograph).is_file()));
     }
 }
 
