@@ -539,7 +539,7 @@ fn words_that_mean_nothing() {
         Case {
             spoil: nothing,
             arguments: &["capture", "new", "--rig", "/dev/null", "--dry-run"],
-            names: &["/dev/null", "simulated camera"],
+            names: &["/dev/null", "only camera", "--rig simulated"],
         },
         Case {
             spoil: nothing,
