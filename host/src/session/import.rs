@@ -274,3 +274,40 @@ fn fill(found: &[Found], manifest: Manifest, folder: &Path, progress: &dyn Progr
     (0..session.manifest.views.len()).try_for_each(|view| session.record(Event::ViewDone { view }))?;
     progress.step(2 * found.len(), 2 * found.len())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::session::View;
+
+    #[test]
+    fn views_that_a_calibration_does_not_know_are_counted() {
+        let pose = |view: u32| {
+            format!(r#"{{"view": {view}, "centre": [0, 0, 900], "forward": [0, 0, -1], "up": [0, 1, 0]}}"#)
+        };
+        let note = |numbers: &[u32]| {
+            let file = tempfile::NamedTempFile::new().unwrap();
+            let poses: Vec<String> = numbers.iter().map(|&view| pose(view)).collect();
+            let text = format!(r#"{{"f": 500, "cx": 320, "cy": 240, "views": [{}]}}"#, poses.join(","));
+            fs::write(file.path(), text).unwrap();
+            let calibration = Calibration::read(file.path(), 0.0).unwrap();
+            let view = |number: u32| View {
+                name: format!("view{number:03}"),
+                pan_deg: Some(0.0),
+                tilt_deg: Some(0.0),
+                lens: 0,
+                pose: None,
+            };
+            let mut manifest = Manifest { views: (0..3).map(view).collect(), ..Manifest::new("test") };
+            let mut notes = vec![];
+            apply(&calibration, &mut manifest, (640, 480), &mut notes);
+            let posed = manifest.views.iter().filter(|view| view.pose.is_some()).count();
+            assert_eq!(posed, numbers.iter().filter(|&&number| number < 3).count());
+            notes.join("; ")
+        };
+        assert_eq!(note(&[]), "");
+        assert_eq!(note(&[2, 0, 1]), "");
+        assert!(note(&[0, 2]).contains("2 of 3 views"));
+        assert!(note(&[0, 1, 2, 7]).contains("3 of 3 views have one of the calibration's 4 poses"));
+    }
+}

@@ -111,6 +111,22 @@ fn photographs_that_cannot_be_used() {
             arguments: &["import", "photos", "new", "--csv", "views.csv", "--flats", "photos/view001_0.png"],
             names: &["view001_0.png", "complete"],
         },
+        Case {
+            spoil: |folder| {
+                fs::copy(folder.join("photos/view001_0.png"), picture(folder, "view000_0.png")).unwrap();
+            },
+            arguments: &[
+                "import",
+                "photos",
+                "new",
+                "--csv",
+                "views.csv",
+                "--flats",
+                "photos/view000_0.png",
+                "some/view000_0.png",
+            ],
+            names: &["some/view000_0.png", "same name", "photos/view000_0.png"],
+        },
     ]);
 }
 
@@ -452,9 +468,8 @@ fn outputs_that_cannot_be_written() {
     const OBSERVE: &[&str] = &["observe", "session", "--texels", "16x12", "--out"];
     let to = |verb: &[&'static str], out: &'static str| -> &'static [&'static str] {
         let mut arguments = verb.to_vec();
-        match arguments.iter().position(|word| *word == "--out") {
-            Some(at) => arguments.truncate(at),
-            None => {}
+        if let Some(at) = arguments.iter().position(|word| *word == "--out") {
+            arguments.truncate(at);
         }
         arguments.extend(["--out", out]);
         arguments.leak()
