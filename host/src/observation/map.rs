@@ -238,7 +238,10 @@ impl ObservationMap {
         }
         // SAFETY: the map is read only and lives as long as this call; the file is complete (checked when opened) and was
         // renamed into its place, so nobody of ours writes to it or shortens it.
-        #[expect(unsafe_code, reason = "observation maps are read through a memory map, of which only the tile in use is resident")]
+        #[expect(
+            unsafe_code,
+            reason = "observation maps are read through a memory map, of which only the tile in use is resident"
+        )]
         let bytes = unsafe {
             MmapOptions::new().offset(self.start + (tile * length) as u64).len(length).map(&self.file)
         }
