@@ -96,7 +96,7 @@ fn where_the_disk_is_full() {
             return;
         }
         let disk = Disk(place.path());
-        let copied = Command::new("cp").arg("-r").arg(workshop().path().join(".")).arg(disk.0).status();
+        let copied = Command::new("cp").arg("-a").arg(workshop().path().join(".")).arg(disk.0).status();
         assert!(copied.unwrap().success());
         case.0(disk.0);
         let mut filler = fs::File::create(disk.0.join("filler")).unwrap();
