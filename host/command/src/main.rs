@@ -3,6 +3,7 @@
 mod arguments;
 mod devices;
 mod progress;
+mod say;
 mod verbs;
 
 use std::process::ExitCode;

@@ -10,6 +10,7 @@ use rigel::{Error, Result};
 use crate::arguments::{Capture, SamplingChoice};
 use crate::devices::Devices;
 use crate::progress::Bar;
+use crate::say::say;
 
 /// `rigel capture`.
 pub fn capture(arguments: &Capture) -> Result<()> {
@@ -39,11 +40,11 @@ pub fn capture(arguments: &Capture) -> Result<()> {
     capture::capture(&mut session, &mut devices.rig, &mut devices.camera, &Bar::new("capturing"))
         .inspect_err(|error| {
             if matches!(error, Error::Interrupted) {
-                println!("go on with: rigel capture {} --resume", arguments.session.display());
+                say!("go on with: rigel capture {} --resume", arguments.session.display());
             }
         })?;
     let photographs: usize = session.done_views().iter().map(|&view| session.photographs(view).len()).sum();
-    println!(
+    say!(
         "wrote {}: {} views, {photographs} photographs",
         arguments.session.display(),
         session.done_views().len()
@@ -80,7 +81,7 @@ pub fn new_manifest(
 }
 
 fn say(plan: &Plan) {
-    println!(
+    say!(
         "{} views to photograph: at most {} photographs, {:.0} min and {:.1} MB",
         plan.views,
         plan.most_photographs,

@@ -19,6 +19,7 @@ use super::capture::new_manifest;
 use crate::arguments::{CameraChoice, Demo};
 use crate::devices::Devices;
 use crate::progress::Bar;
+use crate::say::say;
 
 /// Written first: only a folder that has it is replaced by the next demo.
 const MARK: &str = "rigel-demo.txt";
@@ -58,13 +59,13 @@ pub fn demo(arguments: &Demo) -> Result<()> {
     devices.photograph_flats(session.folder())?;
     capture::capture(&mut session, &mut devices.rig, &mut devices.camera, &Bar::new("capturing"))?;
     let photographs: usize = session.done_views().iter().map(|&view| session.photographs(view).len()).sum();
-    println!("captured {seen} views and {HELD_OUT} that no fit will see: {photographs} photographs");
+    say!("captured {seen} views and {HELD_OUT} that no fit will see: {photographs} photographs");
 
     let measured = measure(&session, &ResponseChoice::Recover, &Bar::new("radiance"))?;
     let path = session.folder().join("observations.rigel");
     let observations =
         observe(&session, &path, &observation::Options { texels: TEXELS }, &Bar::new("observing"))?;
-    println!(
+    say!(
         "gathered {}x{} texels: {:.1} MB",
         TEXELS.columns,
         TEXELS.rows,
@@ -78,7 +79,7 @@ pub fn demo(arguments: &Demo) -> Result<()> {
     for one in &compared {
         let name = one.map.model.name();
         one.map.write(&out.join(format!("{name}.exr")))?;
-        println!(
+        say!(
             "{name:>14}: {:5.2} of 255 on held-out views, {:6.2} s to fit",
             one.evaluation.mean_255(),
             one.fit_s
@@ -107,7 +108,7 @@ pub fn demo(arguments: &Demo) -> Result<()> {
     describe(&mut report, &compared, &observations)?;
     let page = out.join("report.html");
     file::write_bytes(&page, report.to_html().as_bytes())?;
-    println!(
+    say!(
         "wrote {} in {:.0} s: open {} in a browser",
         out.display(),
         start.elapsed().as_secs_f64(),

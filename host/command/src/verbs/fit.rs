@@ -14,6 +14,7 @@ use rigel::{Error, Result};
 
 use crate::arguments::{Evaluate, Fit, Render};
 use crate::progress::Bar;
+use crate::say::say;
 use crate::verbs::{session_views, views_by_name};
 
 /// `rigel fit`.
@@ -36,7 +37,7 @@ pub fn fit(arguments: &Fit) -> Result<()> {
         .clone()
         .unwrap_or_else(|| arguments.observations.with_file_name(format!("{}.exr", model.name())));
     fitted.write(&out)?;
-    println!("wrote {}: {}, {} bytes per texel", out.display(), model.name(), model.bytes_per_texel());
+    say!("wrote {}: {}, {} bytes per texel", out.display(), model.name(), model.bytes_per_texel());
     summarise(&fitted);
     Ok(())
 }
@@ -46,7 +47,7 @@ fn choose(map: &ObservationMap, without: &[u32], options: &FitOptions) -> Result
     let ranking = choose_model(&map.sample(without)?, &candidates(), options, &Bar::new("choosing"))
         .map_err(|error| error.about(map.path()))?;
     for candidate in &ranking {
-        println!(
+        say!(
             "{:>14}: predicts held-out views within {:.2} %, {} bytes per texel",
             candidate.model.name(),
             100.0 * candidate.held_out_error,
@@ -60,7 +61,7 @@ fn summarise(fitted: &ParameterMap) {
     let Some(diagnostics) = &fitted.diagnostics else { return };
     let mut residuals = diagnostics.residual.clone();
     residuals.sort_by(f32::total_cmp);
-    println!(
+    say!(
         "residual over expected error: median {:.2}, 95 % of the texels below {:.2}",
         residuals[residuals.len() / 2],
         residuals[residuals.len() * 95 / 100]
@@ -76,10 +77,7 @@ fn summarise(fitted: &ParameterMap) {
     ] {
         let count = diagnostics.flags.iter().filter(|flags| flags.contains(flag)).count();
         if count > 0 {
-            println!(
-                "warning: {count} of {} texels {meaning} (see the channel `fit.flags`)",
-                residuals.len()
-            );
+            say!("warning: {count} of {} texels {meaning} (see the channel `fit.flags`)", residuals.len());
         }
     }
 }
@@ -117,7 +115,7 @@ pub fn render(arguments: &Render) -> Result<()> {
             ));
         }
     }
-    println!("wrote {}: {}x{} pixels", arguments.out.display(), lens.width, lens.height);
+    say!("wrote {}: {}x{} pixels", arguments.out.display(), lens.width, lens.height);
     Ok(())
 }
 
@@ -143,12 +141,9 @@ pub fn evaluate(arguments: &Evaluate) -> Result<()> {
         }
     };
     let evaluation = score(&map, &references, &Bar::new("evaluating"))?;
-    println!(
-        "{:<16} {:>8} {:>12} {:>8} {:>16}",
-        "view", "pixels", "mean of 255", "PSNR dB", "median relative"
-    );
+    say!("{:<16} {:>8} {:>12} {:>8} {:>16}", "view", "pixels", "mean of 255", "PSNR dB", "median relative");
     for view in &evaluation.views {
-        println!(
+        say!(
             "{:<16} {:>8} {:>12.2} {:>8.2} {:>14.2} %",
             view.name,
             view.pixels,
@@ -157,7 +152,7 @@ pub fn evaluate(arguments: &Evaluate) -> Result<()> {
             100.0 * view.median_relative
         );
     }
-    println!(
+    say!(
         "{:<16} {:>8} {:>12.2} {:>8.2} {:>14.2} %",
         "mean",
         "",
@@ -168,9 +163,6 @@ pub fn evaluate(arguments: &Evaluate) -> Result<()> {
     let stem = arguments.map.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let out = arguments.out.clone().unwrap_or_else(|| arguments.map.with_file_name(format!("{stem}-errors")));
     evaluation.write(&out)?;
-    println!(
-        "wrote {}: errors.csv and a picture for each view (seen, predicted, difference x 4)",
-        out.display()
-    );
+    say!("wrote {}: errors.csv and a picture for each view (seen, predicted, difference x 4)", out.display());
     Ok(())
 }

@@ -11,6 +11,7 @@ use rigel::view_file::Calibration;
 
 use crate::arguments::{Import, Observe, Radiance};
 use crate::progress::Bar;
+use crate::say::say;
 
 /// `rigel import`.
 pub fn import(arguments: &Import) -> Result<()> {
@@ -36,11 +37,11 @@ pub fn import(arguments: &Import) -> Result<()> {
     };
     let imported = run(&source, &arguments.session, &options, &Bar::new("importing"))?;
     for note in &imported.notes {
-        println!("note: {note}");
+        say!("note: {note}");
     }
     let views = imported.session.manifest.views.len();
     let photographs: usize = (0..views).map(|view| imported.session.photographs(view).len()).sum();
-    println!("wrote {}: {views} views, {photographs} photographs", arguments.session.display());
+    say!("wrote {}: {views} views, {photographs} photographs", arguments.session.display());
     Ok(())
 }
 
@@ -56,9 +57,9 @@ pub fn radiance(arguments: &Radiance) -> Result<()> {
     let measured =
         measure(&session, &choice, &Bar::new("radiance")).map_err(|error| error.about(session.folder()))?;
     if let Some(residual) = measured.vignetting_residual {
-        println!("vignetting: flat fields agree with the model within {:.2} %", 100.0 * residual);
+        say!("vignetting: flat fields agree with the model within {:.2} %", 100.0 * residual);
     }
-    println!(
+    say!(
         "wrote {}: {} views now, {} kept; of the new pixels {:.2} % are saturated and {:.2} % too dark in every photograph",
         session.radiance_folder().display(),
         measured.written,
@@ -80,9 +81,9 @@ pub fn observe(arguments: &Observe) -> Result<()> {
     if header.views.iter().any(|view| view.gain != 1.0) {
         let gains: Vec<String> =
             header.views.iter().map(|view| format!("{} {:.3}", view.name, view.gain)).collect();
-        println!("note: exposure times are unknown; gains: {}", gains.join(", "));
+        say!("note: exposure times are unknown; gains: {}", gains.join(", "));
     }
-    println!(
+    say!(
         "wrote {}: {}x{} texels, {} views, {:.1} MB; {:.2} % of the observations are absent",
         out.display(),
         header.texels.columns,
