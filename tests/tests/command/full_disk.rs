@@ -104,3 +104,21 @@ fn where_the_disk_is_full() {
         hold(case, disk.0, "free some space", |mut command| command.output().unwrap());
     }
 }
+
+/// Found with `rigel fit ... | head -2`: `println!` panics when nobody reads.
+#[test]
+fn output_that_cannot_be_written_is_no_panic() {
+    let folder = tempfile::tempdir().unwrap();
+    let full = fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+    let output = rigel(folder.path(), &["capture", "s", "--dry-run"]).stdout(full).output().unwrap();
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success() && stderr.contains("output cannot be written"), "{stderr}");
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    let output = rigel(folder.path(), &["capture", "s", "--dry-run"]).stdout(writer).output().unwrap();
+    assert!(
+        output.status.success() && output.stderr.is_empty(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+}
