@@ -46,7 +46,7 @@ pub enum Error {
         remedy: String,
     },
     /// The user asked to stop.
-    #[error("interrupted; what was finished is kept")]
+    #[error("interrupted; nothing is half written, and what was finished is kept")]
     Interrupted,
 }
 

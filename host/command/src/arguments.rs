@@ -8,7 +8,7 @@ use rigel::units::{parse_length_m, parse_surface, parse_texels};
 
 /// Captures how a surface looks from every direction and fits the smallest model that reproduces it.
 #[derive(Parser)]
-#[command(version, arg_required_else_help = true)]
+#[command(name = "rigel", version, arg_required_else_help = true)]
 pub struct Arguments {
     #[command(subcommand)]
     pub verb: Verb,
@@ -205,7 +205,7 @@ pub struct Evaluate {
     /// Session whose views are the references
     #[arg(long, conflicts_with = "references", requires = "views")]
     pub session: Option<PathBuf>,
-    /// Names of the session's views, such as view003,view010
+    /// Names of the session's views, such as view003,view010: those that the fit was made --without
     #[arg(long, value_delimiter = ',')]
     pub views: Vec<String>,
     /// Folder for errors.csv and the pictures [default: the map's name with -errors, beside it]

@@ -499,17 +499,21 @@ fn outputs_that_cannot_be_written() {
             names: &["session/radiance"],
         },
     ];
-    for verb in [OBSERVE, FIT, RENDER, EVALUATE] {
-        cases.push(Case { spoil: is_a_file, arguments: to(verb, "file/out.png"), names: &["file/out.png"] });
-        cases.push(Case { spoil: nothing, arguments: to(verb, "/proc/out.png"), names: &["/proc/out.png"] });
-    }
-    for verb in [OBSERVE, FIT, RENDER] {
+    for (verb, in_a_file, in_proc, nowhere) in [
+        (OBSERVE, "file/out.rigel", "/proc/out.rigel", "none/out.rigel"),
+        (FIT, "file/out.exr", "/proc/out.exr", "none/out.exr"),
+        (RENDER, "file/out.png", "/proc/out.png", "none/out.png"),
+    ] {
+        cases.push(Case { spoil: is_a_file, arguments: to(verb, in_a_file), names: &["file/out"] });
+        cases.push(Case { spoil: nothing, arguments: to(verb, in_proc), names: &["/proc/out"] });
         cases.push(Case {
             spoil: nothing,
-            arguments: to(verb, "none/out.png"),
-            names: &["none/out.png", "check the path"],
+            arguments: to(verb, nowhere),
+            names: &["none/out", "check the path"],
         });
     }
+    cases.push(Case { spoil: is_a_file, arguments: to(EVALUATE, "file/out"), names: &["file/out"] });
+    cases.push(Case { spoil: nothing, arguments: to(EVALUATE, "/proc/out"), names: &["/proc/out"] });
     cases.push(Case { spoil: is_a_folder, arguments: to(FIT, "file"), names: &["file"] });
     cases.push(Case { spoil: nothing, arguments: to(RENDER, "/proc/out.exr"), names: &["/proc/out.exr"] });
     hold(&cases);
@@ -582,4 +586,28 @@ fn words_that_mean_nothing() {
             names: &["session", "view123", "view000"],
         },
     ]);
+}
+
+/// A slip in --out must not cost a session or its observations.
+#[test]
+fn outputs_that_would_overwrite_inputs() {
+    let folder = workshop();
+    let folder = folder.path();
+    for (arguments, name) in [
+        (
+            &["fit", "session/observations.rigel", "--model", "phong", "--out", "session/observations.rigel"]
+                [..],
+            "observations.rigel",
+        ),
+        (&["observe", "session", "--texels", "8x6", "--out", "session/session.toml"], "session.toml"),
+        (
+            &["evaluate", "phong.exr", "--session", "session", "--views", "view001", "--out", "session"],
+            "session",
+        ),
+    ] {
+        let before = snapshot(folder);
+        let output = rigel(folder, arguments).output().unwrap();
+        assert_refused(name, &output, &[name]);
+        assert_untouched(name, &before, &snapshot(folder));
+    }
 }

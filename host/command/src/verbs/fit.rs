@@ -15,7 +15,7 @@ use rigel::{Error, Result};
 use crate::arguments::{Evaluate, Fit, Render};
 use crate::progress::Bar;
 use crate::say::say;
-use crate::verbs::{session_views, views_by_name};
+use crate::verbs::{require_extension, session_views, views_by_name};
 
 /// `rigel fit`.
 pub fn fit(arguments: &Fit) -> Result<()> {
@@ -31,11 +31,12 @@ pub fn fit(arguments: &Fit) -> Result<()> {
         "auto" => choose(&map, &without, &options)?,
         name => Model::parse(name)?,
     };
-    let fitted = fit_surface(&map, model, &options, &without, &Bar::new("fitting"))?;
     let out = arguments
         .out
         .clone()
         .unwrap_or_else(|| arguments.observations.with_file_name(format!("{}.exr", model.name())));
+    require_extension(&out, "exr")?;
+    let fitted = fit_surface(&map, model, &options, &without, &Bar::new("fitting"))?;
     fitted.write(&out)?;
     say!("wrote {}: {}, {} bytes per texel", out.display(), model.name(), model.bytes_per_texel());
     summarise(&fitted);
@@ -162,6 +163,9 @@ pub fn evaluate(arguments: &Evaluate) -> Result<()> {
     );
     let stem = arguments.map.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let out = arguments.out.clone().unwrap_or_else(|| arguments.map.with_file_name(format!("{stem}-errors")));
+    if out.join("session.toml").exists() {
+        return Err(Error::input(&out, "is a session", "choose a folder of its own for the errors"));
+    }
     evaluation.write(&out)?;
     say!("wrote {}: errors.csv and a picture for each view (seen, predicted, difference x 4)", out.display());
     Ok(())

@@ -12,6 +12,7 @@ use rigel::view_file::Calibration;
 use crate::arguments::{Import, Observe, Radiance};
 use crate::progress::Bar;
 use crate::say::say;
+use crate::verbs::require_extension;
 
 /// `rigel import`.
 pub fn import(arguments: &Import) -> Result<()> {
@@ -39,7 +40,13 @@ pub fn import(arguments: &Import) -> Result<()> {
     for note in &imported.notes {
         say!("note: {note}");
     }
-    let views = imported.session.manifest.views.len();
+    let manifest = &imported.session.manifest;
+    if manifest.surface.is_none() || manifest.lenses.is_empty() {
+        say!(
+            "note: `rigel observe` will need the size of the surface (--surface) and the lens (--calibration): import again with them"
+        );
+    }
+    let views = manifest.views.len();
     let photographs: usize = (0..views).map(|view| imported.session.photographs(view).len()).sum();
     say!("wrote {}: {views} views, {photographs} photographs", arguments.session.display());
     Ok(())
@@ -74,6 +81,7 @@ pub fn radiance(arguments: &Radiance) -> Result<()> {
 pub fn observe(arguments: &Observe) -> Result<()> {
     let session = Session::open(&arguments.session)?;
     let out = arguments.out.clone().unwrap_or_else(|| session.folder().join("observations.rigel"));
+    require_extension(&out, "rigel")?;
     let map =
         build(&session, &out, &observation::Options { texels: arguments.texels }, &Bar::new("observing"))
             .map_err(|error| error.about(session.folder()))?;

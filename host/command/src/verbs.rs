@@ -10,6 +10,8 @@ pub use demo::demo;
 pub use fit::{evaluate, fit, render};
 pub use import::{import, observe, radiance};
 
+use std::path::Path;
+
 use rigel::session::Session;
 use rigel::{Error, Result};
 
@@ -21,7 +23,8 @@ fn views_by_name<'a>(
 ) -> Result<Vec<usize>> {
     let names: Vec<&str> = names.collect();
     let find = |name: &String| {
-        names.iter().position(|known| known == name).ok_or_else(|| {
+        let name = name.trim();
+        names.iter().position(|known| *known == name).ok_or_else(|| {
             Error::request(
                 format!("{where_} has no view {name}"),
                 format!(
@@ -33,6 +36,18 @@ fn views_by_name<'a>(
         })
     };
     wanted.iter().map(find).collect()
+}
+
+/// Refuses to write a file under a name that says something else: a slip must not overwrite a session or its observations.
+fn require_extension(path: &Path, extension: &str) -> Result<()> {
+    match path.extension() {
+        Some(given) if given.eq_ignore_ascii_case(extension) => Ok(()),
+        _ => Err(Error::input(
+            path,
+            format!("does not end in .{extension}"),
+            format!("name a .{extension} file"),
+        )),
+    }
 }
 
 fn session_views(session: &Session, wanted: &[String]) -> Result<Vec<usize>> {
