@@ -80,7 +80,7 @@ pub fn describe(report: &mut Report, compared: &[Compared], observations: &Obser
             ),
         );
     }
-    report.heading("Every model");
+    report.heading("Models compared");
     let texels = observations.header().texels.count() as f64;
     let row = |c: &Compared| {
         vec![
