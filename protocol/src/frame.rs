@@ -130,19 +130,32 @@ fn open(frame: &mut [u8]) -> Result<&[u8], FrameError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Answer, Command, Fault, Hello, Limits, Reply, Request, SCHEMA, State, VERSION};
+    use crate::*;
 
     /// Every command, with the numbers that take the most and the fewest bytes.
     fn requests() -> Vec<Request> {
-        let mut commands = vec![Command::Home, Command::Stop, Command::Status, Command::Ping];
+        let mut commands =
+            vec![Command::Home, Command::Stop, Command::Status, Command::Ping, Command::Tracker];
         for n in [0, 1, -90_000, i32::MIN, i32::MAX] {
             commands.push(Command::MoveTo { pan_mdeg: n, tilt_mdeg: n.wrapping_neg() });
+            commands.push(Command::DeadMan { silence_ms: n as u32 });
         }
-        commands.push(Command::Hello { version: VERSION, schema: SCHEMA });
-        commands.push(Command::Hello { version: u16::MAX, schema: u32::MAX });
+        for (version, schema, conversation) in [(VERSION, SCHEMA, 0), (u16::MAX, u32::MAX, u32::MAX)] {
+            commands.push(Command::Hello { version, schema, conversation });
+        }
+        for length in [0, 1, LONGEST_BRACKET] {
+            let pulses_us = core::iter::repeat_n(u32::MAX, length).collect();
+            let (half_press_ms, pause_ms, confirm_ms) = (u16::MAX, 0, u16::MAX);
+            commands.push(Command::Trigger(Bracket { half_press_ms, pulses_us, pause_ms, confirm_ms }));
+        }
+        for (format, output) in [(Format::Ascii, Output::Euler), (Format::Binary, Output::Quaternion)] {
+            commands.push(Command::Track(Tracking { stations: 2, format, output }));
+        }
         commands
             .into_iter()
-            .flat_map(|command| [0, 255, u16::MAX].map(|sequence| Request { sequence, command }))
+            .flat_map(|command| {
+                [0, 255, u16::MAX].map(|sequence| Request { sequence, command: command.clone() })
+            })
             .collect()
     }
 
@@ -152,6 +165,7 @@ mod tests {
         let limits = Limits {
             pan_min_mdeg: i32::MIN,
             pan_max_mdeg: i32::MAX,
+            winding_mdeg: i32::MAX,
             tilt_min_mdeg: i32::MIN,
             tilt_max_mdeg: i32::MAX,
             speed_mdeg_s: u32::MAX,
@@ -159,25 +173,69 @@ mod tests {
             settle_ms: u32::MAX,
         };
         let board = "a board of 24 characters".try_into().unwrap();
+        let (version, schema, at_us) = (u16::MAX, u32::MAX, u64::MAX);
         let mut replies = vec![
-            Reply::Hello(Hello { version: u16::MAX, schema: u32::MAX, board, limits }),
+            Reply::Hello(Hello { version, schema, board, limits, restart: Restart::Panic }),
             Reply::Accepted { duration_ms: u32::MAX },
-            Reply::Pong,
+            Reply::Pong { at_us },
             Reply::Arrived { pan_mdeg, tilt_mdeg },
             Reply::Stopped { pan_mdeg: 0, tilt_mdeg: 0 },
-            Reply::Refused(Fault::NoHello),
-            Reply::Refused(Fault::NotHomed),
-            Reply::Refused(Fault::Busy),
-            Reply::Refused(Fault::PanOutside { asked_mdeg, min_mdeg, max_mdeg }),
-            Reply::Refused(Fault::TiltOutside { asked_mdeg, min_mdeg, max_mdeg }),
+            Reply::Exposed { index: u8::MAX, at_us, confirmed: true },
+            Reply::Triggered { exposed: u8::MAX, confirmed: u8::MAX },
+            Reply::Log { text: core::iter::repeat_n('x', 60).collect() },
         ];
-        replies.extend(
-            [State::Lost, State::Still, State::Moving, State::Settling].map(|state| Reply::Status {
-                state,
+        for fault in [
+            Fault::NoHello,
+            Fault::NotHomed,
+            Fault::Busy,
+            Fault::Stale,
+            Fault::Senseless,
+            Fault::PanOutside { asked_mdeg, min_mdeg, max_mdeg },
+            Fault::TiltOutside { asked_mdeg, min_mdeg, max_mdeg },
+            Fault::Winding { asked_mdeg, limit_mdeg: max_mdeg },
+        ] {
+            replies.push(Reply::Refused(fault));
+        }
+        let halts = [Axis::Pan, Axis::Tilt]
+            .map(|axis| [Halt::Switch(axis), Halt::NoSwitch(axis), Halt::StuckSwitch(axis)])
+            .into_iter()
+            .flatten()
+            .chain([Halt::TooLong, Halt::SilentHost]);
+        for halt in halts {
+            replies.push(Reply::Halted { halt, pan_mdeg, tilt_mdeg });
+            replies.push(Reply::Status(Status {
+                state: State::Exposing,
                 pan_mdeg,
                 tilt_mdeg,
-            }),
-        );
+                halt: Some(halt),
+                lost_steps: [i32::MIN; 2],
+                exposed: u8::MAX,
+                confirmed: u8::MAX,
+                bad_frames: u32::MAX,
+            }));
+        }
+        for state in [TrackerState::Off, TrackerState::Starting, TrackerState::Running, TrackerState::Silent]
+        {
+            let n = u32::MAX;
+            replies.push(Reply::Tracker(TrackerStatus {
+                state,
+                forwarded: n,
+                rejected: n,
+                skipped_bytes: n,
+                overrun: n,
+                restarts: u16::MAX,
+            }));
+        }
+        for orientation in [Orientation::Quaternion([i32::MIN; 4]), Orientation::Euler([i32::MAX; 3])] {
+            replies.push(Reply::Record(Record {
+                count: u32::MAX,
+                at_us,
+                station: 2,
+                status: u8::MAX,
+                position_um: [i32::MIN; 3],
+                orientation,
+            }));
+        }
         replies.into_iter().map(|reply| Answer { sequence: u16::MAX, reply }).collect()
     }
 
@@ -201,7 +259,7 @@ mod tests {
 
     #[test]
     fn every_wrong_bit_is_noticed_and_costs_one_message() {
-        let next = Answer { sequence: 77, reply: Reply::Pong };
+        let next = Answer { sequence: 77, reply: Reply::Pong { at_us: 5 } };
         for answer in answers() {
             let frame = framed(&answer);
             for bit in 0..frame.len() * 8 {
@@ -228,7 +286,7 @@ mod tests {
                 .collect();
             stream.extend(framed(&request));
             let good: Vec<Request> = heard(&stream).into_iter().flatten().collect();
-            assert_eq!(good, [request]);
+            assert_eq!(good, std::slice::from_ref(&request));
         }
     }
 

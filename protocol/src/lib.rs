@@ -13,10 +13,13 @@ pub mod frame;
 pub mod words;
 
 pub use frame::{Decoder, FrameError, LARGEST_FRAME, LARGEST_PAYLOAD, encode};
-pub use words::{Answer, Command, Fault, Hello, Limits, Reply, Request, State};
+pub use words::{
+    Answer, Axis, Bracket, Command, Fault, Format, Halt, Hello, LONGEST_BRACKET, Limits, Orientation, Output,
+    Record, Reply, Request, Restart, State, Status, TrackerState, TrackerStatus, Tracking,
+};
 
 /// The version of the conversation: what the words mean. Raised by hand when a word's meaning changes.
-pub const VERSION: u16 = 1;
+pub const VERSION: u16 = 2;
 
 /// A fingerprint of the table of words: changes whenever [`words`] changes, so that nobody can forget to raise it.
 pub const SCHEMA: u32 = fingerprint(include_bytes!("words.rs"));

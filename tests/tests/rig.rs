@@ -138,7 +138,7 @@ fn a_host_may_take_over_a_rig_that_another_left_moving() {
     let position = simulated.position();
     // A host that starts a move and dies. It does not listen, so it asks until it sees the move.
     let mut port = std::fs::OpenOptions::new().write(true).open(simulated.port_name()).unwrap();
-    let hello = Command::Hello { version: VERSION, schema: SCHEMA };
+    let hello = Command::Hello { version: VERSION, schema: SCHEMA, conversation: 1 };
     let away = Command::MoveTo { pan_mdeg: 180_000, tilt_mdeg: 0 };
     let deadline = Instant::now() + Duration::from_secs(5);
     for (sequence, command) in (1..).zip([hello, Command::Home].into_iter().chain(std::iter::repeat(away))) {
@@ -166,7 +166,13 @@ fn host_and_firmware_agree_on_the_time_of_a_move() {
     let simulated = simulated(Faults::default());
     let limits = SerialRig::open(simulated.port_name()).unwrap().limits();
     let mut firmware = Controller::new("clockwork", RigOptions::default().limits).unwrap();
-    firmware.handle(Request { sequence: 0, command: Command::Hello { version: VERSION, schema: SCHEMA } }, 0);
+    firmware.handle(
+        Request {
+            sequence: 0,
+            command: Command::Hello { version: VERSION, schema: SCHEMA, conversation: 1 },
+        },
+        0,
+    );
     firmware.handle(Request { sequence: 1, command: Command::Home }, 0);
     let (mut now_us, mut from) = (0, [0.0; 2]);
     for (sequence, [pan_rad, tilt_rad]) in (2..).zip(VIEWS_RAD) {

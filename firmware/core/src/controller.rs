@@ -1,6 +1,8 @@
 //! The state machine of commands: hello, homing, moves, soft limits, settling.
 
-use rigel_protocol::{Answer, Command, Fault, Hello, Limits, Reply, Request, SCHEMA, State, VERSION};
+use rigel_protocol::{
+    Answer, Command, Fault, Hello, Limits, Reply, Request, Restart, SCHEMA, State, Status, VERSION,
+};
 
 use crate::Motion;
 
@@ -65,20 +67,20 @@ impl Controller {
     /// Obeys or refuses a request.
     pub fn handle(&mut self, request: Request, now_us: u64) -> Answer {
         let reply = match request.command {
-            Command::Hello { version, schema } => {
+            Command::Hello { version, schema, .. } => {
                 self.greeted = version == VERSION && schema == SCHEMA;
                 // A new conversation counts from the start again: its first move is no repetition of an old one.
                 self.last = None;
                 self.hello()
             }
             _ if !self.greeted => Reply::Refused(Fault::NoHello),
-            Command::Ping => Reply::Pong,
+            Command::Ping => Reply::Pong { at_us: now_us },
             Command::Status => self.status(now_us),
-            Command::Home | Command::MoveTo { .. } | Command::Stop => match &self.last {
+            _ => match &self.last {
                 Some((last, reply)) if *last == request => reply.clone(),
                 _ => {
-                    let reply = self.obey(request, now_us).unwrap_or_else(Reply::Refused);
-                    self.last = Some((request, reply.clone()));
+                    let reply = self.obey(&request, now_us).unwrap_or_else(Reply::Refused);
+                    self.last = Some((request.clone(), reply.clone()));
                     reply
                 }
             },
@@ -122,7 +124,7 @@ impl Controller {
         }
     }
 
-    fn obey(&mut self, request: Request, now_us: u64) -> Result<Reply, Fault> {
+    fn obey(&mut self, request: &Request, now_us: u64) -> Result<Reply, Fault> {
         match request.command {
             Command::Stop => return Ok(self.stop(now_us)),
             _ if self.course.is_some() => return Err(Fault::Busy),
@@ -134,10 +136,11 @@ impl Controller {
                 self.start([pan_mdeg, tilt_mdeg], request.sequence, now_us);
             }
             // Without switches, the place where the rig stands when it is first homed is its zero.
-            _ => {
+            Command::Home => {
                 self.homed = true;
                 self.start([0, 0], request.sequence, now_us);
             }
+            _ => return Err(Fault::Senseless),
         }
         Ok(self.accepted())
     }
@@ -188,8 +191,13 @@ impl Controller {
     }
 
     fn hello(&self) -> Reply {
-        let mut hello =
-            Hello { version: VERSION, schema: SCHEMA, board: Default::default(), limits: self.limits };
+        let mut hello = Hello {
+            version: VERSION,
+            schema: SCHEMA,
+            board: Default::default(),
+            limits: self.limits,
+            restart: Restart::Power,
+        };
         // `new` has checked the length, so this cannot fail.
         let _ = hello.board.push_str(self.board);
         Reply::Hello(hello)
@@ -197,7 +205,16 @@ impl Controller {
 
     fn status(&self, now_us: u64) -> Reply {
         let [pan_mdeg, tilt_mdeg] = self.position_udeg(now_us).map(to_mdeg);
-        Reply::Status { state: self.state(now_us), pan_mdeg, tilt_mdeg }
+        Reply::Status(Status {
+            state: self.state(now_us),
+            pan_mdeg,
+            tilt_mdeg,
+            halt: None,
+            lost_steps: [0; 2],
+            exposed: 0,
+            confirmed: 0,
+            bad_frames: 0,
+        })
     }
 
     fn acceleration(&self) -> i64 {
@@ -221,6 +238,7 @@ mod tests {
     const LIMITS: Limits = Limits {
         pan_min_mdeg: -180_000,
         pan_max_mdeg: 180_000,
+        winding_mdeg: 180_000,
         tilt_min_mdeg: -10_000,
         tilt_max_mdeg: 90_000,
         speed_mdeg_s: 60_000,
@@ -242,7 +260,7 @@ mod tests {
 
         fn homed() -> Self {
             let mut bench = Self::new();
-            bench.ask(Command::Hello { version: VERSION, schema: SCHEMA });
+            bench.ask(Command::Hello { version: VERSION, schema: SCHEMA, conversation: 1 });
             bench.ask(Command::Home);
             assert_eq!(bench.event().reply, Reply::Arrived { pan_mdeg: 0, tilt_mdeg: 0 });
             bench
@@ -288,7 +306,9 @@ mod tests {
             assert_eq!((hello.version, hello.schema), (VERSION, SCHEMA), "the rig names its own");
             assert_eq!(bench.ask(Command::Home), Reply::Refused(Fault::NoHello));
         }
-        let Reply::Hello(hello) = bench.ask(Command::Hello { version: VERSION, schema: SCHEMA }) else {
+        let Reply::Hello(hello) =
+            bench.ask(Command::Hello { version: VERSION, schema: SCHEMA, conversation: 1 })
+        else {
             panic!()
         };
         assert_eq!((hello.board.as_str(), hello.limits), ("bench", LIMITS));
@@ -298,7 +318,7 @@ mod tests {
     #[test]
     fn a_lost_rig_refuses_to_move() {
         let mut bench = Bench::new();
-        bench.ask(Command::Hello { version: VERSION, schema: SCHEMA });
+        bench.ask(Command::Hello { version: VERSION, schema: SCHEMA, conversation: 1 });
         assert_eq!(bench.ask(move_to(1, 1)), Reply::Refused(Fault::NotHomed));
         assert_eq!(bench.rig.state(bench.now_us), State::Lost);
     }
@@ -353,7 +373,7 @@ mod tests {
         let again = bench.say_again(move_to(40_000, 0));
         assert_eq!(again, Reply::Refused(Fault::Busy), "answered as the first time, even now");
         // A new conversation may use the same number for the same words: that is a new request.
-        bench.ask(Command::Hello { version: VERSION, schema: SCHEMA });
+        bench.ask(Command::Hello { version: VERSION, schema: SCHEMA, conversation: 1 });
         assert!(matches!(bench.say_again(move_to(40_000, 0)), Reply::Accepted { .. }));
     }
 
@@ -401,7 +421,7 @@ mod tests {
             let mut rig = Controller::new("wide", limits).unwrap();
             let mut now_us = 0;
             let commands = [
-                Command::Hello { version: VERSION, schema: SCHEMA },
+                Command::Hello { version: VERSION, schema: SCHEMA, conversation: 1 },
                 Command::Home,
                 move_to(-LARGEST_MDEG, 0),
                 move_to(LARGEST_MDEG, 90_000),

@@ -7,6 +7,8 @@
 
 mod controller;
 mod motion;
+mod pins;
 
 pub use controller::Controller;
 pub use motion::Motion;
+pub use pins::Pins;

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use rigel_protocol::{Answer, Command, Fault, Limits, Reply, SCHEMA, State, VERSION};
+use rigel_protocol::{Answer, Command, Fault, Limits, Reply, SCHEMA, State, Status, VERSION};
 
 use super::serial::Line;
 use super::{Rig, RigLimits};
@@ -29,7 +29,7 @@ impl SerialRig {
     pub fn open(port_name: &str) -> Result<Self> {
         let mut line = Line::open(port_name)?;
         // A hello of another version or schema never gets here: the line refuses it.
-        let hello = match line.ask(Command::Hello { version: VERSION, schema: SCHEMA })? {
+        let hello = match line.ask(Command::Hello { version: VERSION, schema: SCHEMA, conversation: 0 })? {
             Reply::Hello(hello) => hello,
             reply => return Err(confused(&line, &reply)),
         };
@@ -73,13 +73,20 @@ impl SerialRig {
                 // An answer to something older.
                 Some(_) => continue,
                 None => match self.line.ask(Command::Status)? {
-                    Reply::Status { state: State::Still, pan_mdeg, tilt_mdeg } => [pan_mdeg, tilt_mdeg],
-                    Reply::Status { state: State::Moving | State::Settling, .. }
+                    Reply::Status(Status { state: State::Still, pan_mdeg, tilt_mdeg, .. }) => {
+                        [pan_mdeg, tilt_mdeg]
+                    }
+                    Reply::Status(Status { state: State::Moving | State::Settling, .. })
                         if Instant::now() < deadline =>
                     {
                         continue;
                     }
-                    Reply::Status { state: State::Moving | State::Settling, pan_mdeg, tilt_mdeg } => {
+                    Reply::Status(Status {
+                        state: State::Moving | State::Settling,
+                        pan_mdeg,
+                        tilt_mdeg,
+                        ..
+                    }) => {
                         // Nothing is known about what holds it up: better that it stands still.
                         let _ = self.line.ask(Command::Stop);
                         return Err(self.line.error(

@@ -50,7 +50,7 @@ impl Line {
     /// Says a request until it is answered.
     pub(super) fn ask(&mut self, command: Command) -> Result<Reply> {
         self.sequence = self.sequence.wrapping_add(1);
-        let request = Request { sequence: self.sequence, command };
+        let request = Request { sequence: self.sequence, command: command.clone() };
         for _ in 0..ATTEMPTS {
             self.say(&request)?;
             let deadline = Instant::now() + REPLY_TIME;

@@ -35,6 +35,7 @@ impl Default for RigOptions {
         let limits = Limits {
             pan_min_mdeg: -180_000,
             pan_max_mdeg: 180_000,
+            winding_mdeg: 180_000,
             tilt_min_mdeg: -10_000,
             tilt_max_mdeg: 90_000,
             speed_mdeg_s: 60_000,
