@@ -7,8 +7,21 @@ use crate::Result;
 
 mod conversation;
 mod serial;
+mod trigger;
 
 pub use conversation::SerialRig;
+pub use trigger::{Exposed, TriggerLine};
+
+/// Where a move has ended.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Reached {
+    /// The pan that the rig reports, radians.
+    pub pan_rad: f64,
+    /// The tilt that the rig reports, radians.
+    pub tilt_rad: f64,
+    /// How long the rig was left to swing, seconds.
+    pub settle_s: f64,
+}
 
 /// Something that turns the surface to a pan and a tilt, radians.
 pub trait Rig {
@@ -20,7 +33,7 @@ pub trait Rig {
     /// # Errors
     /// A position beyond the limits is refused, never replaced by another; a rig that does not answer, does not arrive
     /// or is unplugged is an error that names it.
-    fn move_to(&mut self, pan_rad: f64, tilt_rad: f64) -> Result<()>;
+    fn move_to(&mut self, pan_rad: f64, tilt_rad: f64) -> Result<Reached>;
 
     /// Which rig this is, in a line for people.
     fn describe(&self) -> String;

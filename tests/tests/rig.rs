@@ -35,7 +35,7 @@ fn the_surface_moves_while_the_host_waits() {
     let simulated = simulated(Faults::default());
     let mut rig = SerialRig::open(simulated.port_name()).unwrap();
     let position = simulated.position();
-    let mover = std::thread::spawn(move || rig.move_to(3.0, 0.5).map(|()| rig));
+    let mover = std::thread::spawn(move || rig.move_to(3.0, 0.5).map(|_| rig));
     let mut seen = Vec::new();
     while !mover.is_finished() {
         seen.push(position.now());
@@ -108,8 +108,9 @@ fn an_unplugged_rig_is_an_error_that_names_the_port() {
     for frames in [0, 1, 3, 7, 9] {
         let simulated = simulated(Faults { unplug_after: Some(frames), ..Faults::default() });
         let start = Instant::now();
-        let outcome = SerialRig::open(simulated.port_name())
-            .and_then(|mut rig| VIEWS_RAD.iter().try_for_each(|&[pan, tilt]| rig.move_to(pan, tilt)));
+        let outcome = SerialRig::open(simulated.port_name()).and_then(|mut rig| {
+            VIEWS_RAD.iter().try_for_each(|&[pan, tilt]| rig.move_to(pan, tilt).map(|_| ()))
+        });
         let error = outcome.unwrap_err().to_string();
         assert!(error.starts_with(simulated.port_name()) && error.contains("unplugged"), "{error}");
         assert!(start.elapsed() < Duration::from_secs(10), "it hung");

@@ -45,7 +45,7 @@ pub struct Demo {
 pub struct Capture {
     /// Folder of the session
     pub session: PathBuf,
-    /// The rig: `simulated`; a serial port such as /dev/ttyACM0 needs a camera that sees the rig, which is still to come
+    /// The rig: `simulated`, or its serial port, such as /dev/ttyACM0
     #[arg(long, default_value = "simulated")]
     pub rig: String,
     /// The camera

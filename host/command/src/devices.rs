@@ -1,10 +1,12 @@
 //! The rig and the camera that the user named.
 
+use std::cell::Cell;
 use std::path::Path;
+use std::rc::Rc;
 
 use rigel::camera::Camera;
 use rigel::geometry::{Lens, Surface};
-use rigel::rig::{Rig, SerialRig};
+use rigel::rig::{Reached, Rig, RigLimits, SerialRig};
 use rigel::{Error, Result};
 use rigel_simulated::camera::{Options, SimulatedCamera};
 use rigel_simulated::rig::{RigOptions, SimulatedRig};
@@ -19,50 +21,54 @@ const MOUNT_ERROR_RAD: f64 = 0.0004;
 /// Exposure time that puts the even sheet of the simulated camera in the middle of its range, seconds.
 const FLAT_EXPOSURE_S: f64 = 0.004;
 
+/// Where the surface is, pan and tilt in radians, as the simulated camera sees it.
+type Position = Box<dyn Fn() -> (f64, f64)>;
+
 /// A rig and a camera, and what is known of them.
 pub struct Devices {
-    pub rig: SerialRig,
-    pub camera: SimulatedCamera<Box<dyn Fn() -> (f64, f64)>>,
+    pub rig: Box<dyn Rig>,
+    pub camera: Box<dyn Camera>,
     pub lens: Lens,
     pub surface: Surface,
     pub distance_m: f64,
+    /// Photographs the even sheet.
+    sheet: SimulatedCamera<Position>,
     /// The simulated rig is unplugged when this is dropped.
-    _simulated: SimulatedRig,
+    _simulated: Option<SimulatedRig>,
 }
 
 impl Devices {
-    /// Opens the rig, `simulated`, and a camera. A rig at a port is refused until there is a camera that can see it.
+    /// Opens the rig, `simulated` or at a port, and a camera. A rig that is opened moves to its home. In front of a real rig
+    /// the simulated camera sees the surface where the rig reports to be.
     ///
     /// # Errors
     /// [`Error::Device`] when the rig does not answer, [`Error::Request`] when rig and camera do not go together.
     pub fn open(rig: &str, camera: CameraChoice) -> Result<Self> {
         let CameraChoice::Simulated = camera;
-        if rig != "simulated" {
-            // Before the port is opened: a rig that is opened moves to its home.
-            return Err(Error::request(
-                format!("the only camera so far is the simulated one, which cannot see the rig at {rig}"),
-                "capture with --rig simulated",
-            ));
-        }
-        let options = RigOptions {
-            speed_factor: SPEED_FACTOR,
-            mount_error_rad: MOUNT_ERROR_RAD,
-            ..RigOptions::default()
+        let (rig, position, simulated): (Box<dyn Rig>, Position, _) = if rig == "simulated" {
+            let simulated = simulated_rig()?;
+            let position = simulated.position();
+            let rig = SerialRig::open(simulated.port_name())?;
+            let where_it_is = move || {
+                let now = position.now();
+                (now.pan_rad, now.tilt_rad)
+            };
+            (Box::new(rig), Box::new(where_it_is), Some(simulated))
+        } else {
+            let rig = Reporting { rig: SerialRig::open(rig)?, at: Rc::default() };
+            let at = rig.at.clone();
+            (Box::new(rig), Box::new(move || at.get()), None)
         };
-        let simulated = SimulatedRig::start(options)?;
-        let position = simulated.position();
-        let where_it_is: Box<dyn Fn() -> (f64, f64)> = Box::new(move || {
-            let now = position.now();
-            (now.pan_rad, now.tilt_rad)
-        });
         let (scene, options) = (Scene::patchwork(), Options::default());
         let surface = scene.surface();
+        let sheet = Options { seed: options.seed + 1, ..options };
         Ok(Self {
-            rig: SerialRig::open(simulated.port_name())?,
-            camera: SimulatedCamera::new(scene, options, where_it_is),
+            rig,
+            camera: Box::new(SimulatedCamera::new(scene, options, position)),
             lens: options.lens,
             surface,
             distance_m: options.distance_m,
+            sheet: SimulatedCamera::new(Scene::patchwork(), sheet, Box::new(|| (0.0, 0.0))),
             _simulated: simulated,
         })
     }
@@ -80,8 +86,38 @@ impl Devices {
         let folder = session.join("flats");
         std::fs::create_dir_all(&folder).map_err(Error::io("create", &folder))?;
         for index in 0..3 {
-            self.camera.photograph_even_sheet(FLAT_EXPOSURE_S, &folder.join(format!("flat{index}")))?;
+            self.sheet.photograph_even_sheet(FLAT_EXPOSURE_S, &folder.join(format!("flat{index}")))?;
         }
         Ok(())
+    }
+}
+
+fn simulated_rig() -> Result<SimulatedRig> {
+    SimulatedRig::start(RigOptions {
+        speed_factor: SPEED_FACTOR,
+        mount_error_rad: MOUNT_ERROR_RAD,
+        ..RigOptions::default()
+    })
+}
+
+/// A rig that remembers where it reported to be.
+struct Reporting {
+    rig: SerialRig,
+    at: Rc<Cell<(f64, f64)>>,
+}
+
+impl Rig for Reporting {
+    fn limits(&self) -> RigLimits {
+        self.rig.limits()
+    }
+
+    fn move_to(&mut self, pan_rad: f64, tilt_rad: f64) -> Result<Reached> {
+        let reached = self.rig.move_to(pan_rad, tilt_rad)?;
+        self.at.set((reached.pan_rad, reached.tilt_rad));
+        Ok(reached)
+    }
+
+    fn describe(&self) -> String {
+        self.rig.describe()
     }
 }

@@ -1,11 +1,12 @@
 //! The conversation with the rig at the other end of a serial port (or of a pseudo-terminal, where it is simulated).
 
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use rigel_protocol::{Answer, Command, Fault, Limits, Reply, SCHEMA, State, Status, VERSION};
 
 use super::serial::Line;
-use super::{Rig, RigLimits};
+use super::{Reached, Rig, RigLimits, TriggerLine};
 use crate::{Error, Result};
 
 /// How long a moving rig may be silent before it is asked: its word that it arrived can be lost.
@@ -15,7 +16,8 @@ const PATIENCE: Duration = Duration::from_secs(3);
 
 /// The rig on a serial port: homed, in conversation, and asked one thing at a time.
 pub struct SerialRig {
-    line: Line,
+    line: Arc<Mutex<Line>>,
+    name: String,
     board: String,
     limits: RigLimits,
 }
@@ -31,39 +33,62 @@ impl SerialRig {
         // A hello of another version or schema never gets here: the line refuses it.
         let hello = match line.ask(Command::Hello { version: VERSION, schema: SCHEMA, conversation: 0 })? {
             Reply::Hello(hello) => hello,
-            reply => return Err(confused(&line, &reply)),
+            reply => return Err(confused(&line.name, &reply)),
         };
         if hello.limits.speed_mdeg_s == 0 || hello.limits.acceleration_mdeg_s2 == 0 {
             let what = format!("the rig says that it cannot move: {:?}", hello.limits);
             return Err(line.error(what, "correct the limits in its firmware"));
         }
-        let mut rig = Self { line, board: hello.board.as_str().into(), limits: limits(&hello.limits) };
+        let mut rig = Self {
+            name: line.name.clone(),
+            line: Arc::new(Mutex::new(line)),
+            board: hello.board.as_str().into(),
+            limits: limits(&hello.limits),
+        };
         rig.home()?;
         Ok(rig)
     }
 
+    /// The camera's contact: a handle that other threads may have.
+    pub fn trigger_line(&self) -> TriggerLine {
+        TriggerLine { line: self.line.clone() }
+    }
+
+    fn line(&self) -> MutexGuard<'_, Line> {
+        self.line.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn ask(&self, command: Command) -> Result<Reply> {
+        self.line().ask(command)
+    }
+
+    fn error(&self, what: impl Into<String>, remedy: &str) -> Error {
+        Error::Device { device: self.name.clone(), what: what.into(), remedy: remedy.into() }
+    }
+
     fn home(&mut self) -> Result<()> {
         // A host that went away may have left the rig moving.
-        if let Reply::Accepted { duration_ms } = self.line.ask(Command::Stop)?
+        if let Reply::Accepted { duration_ms } = self.ask(Command::Stop)?
             && duration_ms > 0
         {
             self.wait(None, duration_ms)?;
         }
-        match self.line.ask(Command::Home)? {
-            Reply::Accepted { duration_ms } => self.wait(Some([0, 0]), duration_ms),
-            Reply::Refused(fault) => Err(self
-                .line
-                .error(format!("the rig refuses to home: {fault:?}"), "switch it off and on again")),
-            reply => Err(confused(&self.line, &reply)),
+        match self.ask(Command::Home)? {
+            Reply::Accepted { duration_ms } => self.wait(Some([0, 0]), duration_ms).map(|_| ()),
+            Reply::Refused(fault) => {
+                Err(self.error(format!("the rig refuses to home: {fault:?}"), "switch it off and on again"))
+            }
+            reply => Err(confused(&self.name, &reply)),
         }
     }
 
     /// Waits until a move has ended, at `goal` if there is one.
-    fn wait(&mut self, goal: Option<[i32; 2]>, duration_ms: u32) -> Result<()> {
-        let sequence = self.line.sequence();
+    fn wait(&mut self, goal: Option<[i32; 2]>, duration_ms: u32) -> Result<Reached> {
+        let sequence = self.line().sequence();
         let deadline = Instant::now() + Duration::from_millis(duration_ms.into()) + PATIENCE;
         loop {
-            let at = match self.line.hear(SILENCE)? {
+            let heard = self.line().hear(SILENCE)?;
+            let at = match heard {
                 Some(Answer { sequence: s, reply: Reply::Arrived { pan_mdeg, tilt_mdeg } })
                     if s == sequence =>
                 {
@@ -72,7 +97,7 @@ impl SerialRig {
                 Some(Answer { reply: Reply::Stopped { pan_mdeg, tilt_mdeg }, .. }) => [pan_mdeg, tilt_mdeg],
                 // An answer to something older.
                 Some(_) => continue,
-                None => match self.line.ask(Command::Status)? {
+                None => match self.ask(Command::Status)? {
                     Reply::Status(Status { state: State::Still, pan_mdeg, tilt_mdeg, .. }) => {
                         [pan_mdeg, tilt_mdeg]
                     }
@@ -88,8 +113,8 @@ impl SerialRig {
                         ..
                     }) => {
                         // Nothing is known about what holds it up: better that it stands still.
-                        let _ = self.line.ask(Command::Stop);
-                        return Err(self.line.error(
+                        let _ = self.ask(Command::Stop);
+                        return Err(self.error(
                             format!(
                                 "the rig did not arrive within {:.1} s and is at pan {}°, tilt {}°",
                                 f64::from(duration_ms) / 1000.0 + PATIENCE.as_secs_f64(),
@@ -103,7 +128,7 @@ impl SerialRig {
                 },
             };
             return match goal {
-                Some(goal) if goal != at => Err(self.line.error(
+                Some(goal) if goal != at => Err(self.error(
                     format!(
                         "the rig stopped at pan {}°, tilt {}° instead of pan {}°, tilt {}°",
                         degrees(at[0]),
@@ -113,18 +138,19 @@ impl SerialRig {
                     ),
                     "see what stopped it, then start again",
                 )),
-                _ => Ok(()),
+                _ => {
+                    Ok(Reached { pan_rad: rad(at[0]), tilt_rad: rad(at[1]), settle_s: self.limits.settle_s })
+                }
             };
         }
     }
 
     fn restarted(&self) -> Error {
-        self.line
-            .error("the rig has restarted and lost its position", "check its power supply, then start again")
+        self.error("the rig has restarted and lost its position", "check its power supply, then start again")
     }
 
     fn outside(&self, axis: &str, asked_rad: f64, [low_rad, high_rad]: [f64; 2]) -> Error {
-        self.line.error(
+        self.error(
             format!(
                 "a {axis} of {:.3}° is outside the rig's limits of {:.3}° to {:.3}°",
                 asked_rad.to_degrees(),
@@ -141,11 +167,11 @@ impl Rig for SerialRig {
         self.limits
     }
 
-    fn move_to(&mut self, pan_rad: f64, tilt_rad: f64) -> Result<()> {
+    fn move_to(&mut self, pan_rad: f64, tilt_rad: f64) -> Result<Reached> {
         // Only what fits the words is said; whether it is within the limits, the rig decides.
         let pan_mdeg = mdeg(pan_rad).ok_or_else(|| self.outside("pan", pan_rad, self.limits.pan_rad))?;
         let tilt_mdeg = mdeg(tilt_rad).ok_or_else(|| self.outside("tilt", tilt_rad, self.limits.tilt_rad))?;
-        match self.line.ask(Command::MoveTo { pan_mdeg, tilt_mdeg })? {
+        match self.ask(Command::MoveTo { pan_mdeg, tilt_mdeg })? {
             Reply::Accepted { duration_ms } => self.wait(Some([pan_mdeg, tilt_mdeg]), duration_ms),
             Reply::Refused(Fault::PanOutside { min_mdeg, max_mdeg, .. }) => {
                 Err(self.outside("pan", pan_rad, [rad(min_mdeg), rad(max_mdeg)]))
@@ -154,10 +180,10 @@ impl Rig for SerialRig {
                 Err(self.outside("tilt", tilt_rad, [rad(min_mdeg), rad(max_mdeg)]))
             }
             Reply::Refused(Fault::NoHello | Fault::NotHomed) => Err(self.restarted()),
-            Reply::Refused(Fault::Busy) => Err(self
-                .line
-                .error("the rig is still moving", "wait until it stands still, then start again")),
-            reply => Err(confused(&self.line, &reply)),
+            Reply::Refused(Fault::Busy) => {
+                Err(self.error("the rig is still moving", "wait until it stands still, then start again"))
+            }
+            reply => Err(confused(&self.name, &reply)),
         }
     }
 
@@ -168,7 +194,7 @@ impl Rig for SerialRig {
             "{} on {} (protocol {VERSION}): pan {pan_min:.1}° to {pan_max:.1}°, tilt {tilt_min:.1}° to {tilt_max:.1}°, \
              {:.0}°/s",
             self.board,
-            self.line.name,
+            self.name,
             self.limits.speed_rad_s.to_degrees()
         )
     }
@@ -184,11 +210,12 @@ fn limits(said: &Limits) -> RigLimits {
     }
 }
 
-fn confused(line: &Line, reply: &Reply) -> Error {
-    line.error(
-        format!("the rig answered something else than was asked: {reply:?}"),
-        "report this as a defect of its firmware",
-    )
+pub(super) fn confused(name: &str, reply: &Reply) -> Error {
+    Error::Device {
+        device: name.into(),
+        what: format!("the rig answered something else than was asked: {reply:?}"),
+        remedy: "report this as a defect of its firmware".into(),
+    }
 }
 
 const RAD_PER_MDEG: f64 = std::f64::consts::PI / 180_000.0;

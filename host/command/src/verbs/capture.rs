@@ -2,7 +2,6 @@
 
 use glam::DVec3;
 use rigel::capture::{self, Plan, add_views, plan};
-use rigel::rig::Rig;
 use rigel::sampling::{Stop, icosphere_near, latitude_longitude_near, spiral, stratified, tour};
 use rigel::session::{Manifest, Session};
 use rigel::{Error, Result};
@@ -23,7 +22,7 @@ pub fn capture(arguments: &Capture) -> Result<()> {
             new_manifest(&devices, &directions(arguments)?, arguments.longest_exposure_time_s)?;
         (manifest, vec![])
     };
-    let plan = plan(&manifest, &done, &devices.rig, &devices.camera)?;
+    let plan = plan(&manifest, &done, &*devices.rig, &*devices.camera)?;
     if arguments.dry_run {
         say(&plan);
         return Ok(());
@@ -37,7 +36,7 @@ pub fn capture(arguments: &Capture) -> Result<()> {
     if session.flats()?.is_empty() {
         devices.photograph_flats(session.folder())?;
     }
-    capture::capture(&mut session, &mut devices.rig, &mut devices.camera, &Bar::new("capturing"))
+    capture::capture(&mut session, &mut *devices.rig, &mut *devices.camera, &Bar::new("capturing"))
         .inspect_err(|error| {
             if matches!(error, Error::Interrupted) {
                 say!("go on with: rigel capture {} --resume", arguments.session.display());

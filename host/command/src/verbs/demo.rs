@@ -57,7 +57,7 @@ pub fn demo(arguments: &Demo) -> Result<()> {
 
     let mut session = Session::create(&out.join("session"), manifest)?;
     devices.photograph_flats(session.folder())?;
-    capture::capture(&mut session, &mut devices.rig, &mut devices.camera, &Bar::new("capturing"))?;
+    capture::capture(&mut session, &mut *devices.rig, &mut *devices.camera, &Bar::new("capturing"))?;
     let photographs: usize = session.done_views().iter().map(|&view| session.photographs(view).len()).sum();
     say!("captured {seen} views and {HELD_OUT} that no fit will see: {photographs} photographs");
 
