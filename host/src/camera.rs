@@ -1,6 +1,7 @@
 //! A camera: something that takes a photograph with a given exposure time and leaves its own file.
 
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 use crate::Result;
 
@@ -13,6 +14,36 @@ pub struct Taken {
     pub exposure_s: f64,
 }
 
+/// A photograph, or the promise of one.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Shot {
+    /// The photograph's file is here.
+    Taken(Taken),
+    /// The camera has exposed; its file stays in the camera and is collected afterwards.
+    Later {
+        /// The exposure time that the camera was asked for, seconds.
+        exposure_s: f64,
+        /// When the exposure began, by the host's clock.
+        at: SystemTime,
+    },
+}
+
+impl Shot {
+    /// What was taken.
+    ///
+    /// # Errors
+    /// [`crate::Error::Request`] when the file comes later.
+    pub fn taken(self) -> Result<Taken> {
+        match self {
+            Self::Taken(taken) => Ok(taken),
+            Self::Later { .. } => Err(crate::Error::request(
+                "the camera keeps its photographs, but the next one is needed now",
+                "name a camera that hands its photographs over, such as trigger:FOLDER",
+            )),
+        }
+    }
+}
+
 /// A camera whose exposure time can be set.
 pub trait Camera {
     /// Make, model and settings in one line, for the session's manifest.
@@ -21,12 +52,13 @@ pub trait Camera {
     /// Shortest and longest exposure time, seconds.
     fn exposure_range_s(&self) -> [f64; 2];
 
-    /// Takes one photograph and leaves the camera's own file at `stem` plus its extension.
+    /// Takes one photograph and leaves the camera's own file at `stem` plus its extension, or says that it comes later.
     ///
     /// # Errors
     /// [`crate::Error::Request`] when the camera cannot expose for `exposure_s`, [`crate::Error::Device`] when it does
-    /// not answer, [`crate::Error::Io`] when the file cannot be written.
-    fn photograph(&mut self, exposure_s: f64, stem: &Path) -> Result<Taken>;
+    /// not answer or answers what cannot be true, [`crate::Error::Input`] when the file that it left is not the
+    /// photograph that was asked for, [`crate::Error::Io`] when the file cannot be written.
+    fn photograph(&mut self, exposure_s: f64, stem: &Path) -> Result<Shot>;
 
     /// Size of one file, bytes, for planning.
     fn file_size_bytes(&self) -> u64;

@@ -139,7 +139,7 @@ fn photograph_view(
         let picture = match kept(session, view, &stem)? {
             Some(picture) => picture,
             None => {
-                let shot = camera.photograph(time, &session.folder().join(&stem))?;
+                let shot = camera.photograph(time, &session.folder().join(&stem))?.taken()?;
                 // Reading the file back also proves that the camera wrote it whole.
                 let picture = Picture::read(&shot.file)?;
                 let file = shot.file.strip_prefix(session.folder()).unwrap_or(&shot.file);

@@ -81,7 +81,7 @@ fn photograph(
         let mut time_s = 0.16;
         loop {
             let stem = folder.join("photos").join(format!("view{view:03}_{time_s}"));
-            let taken = camera.photograph(time_s, &stem).unwrap();
+            let taken = camera.photograph(time_s, &stem).unwrap().taken().unwrap();
             let name = taken.file.file_name().unwrap().to_str().unwrap();
             let (pan, tilt) = (pan_rad.to_degrees(), tilt_rad.to_degrees());
             table += &format!("{name},{view},{pan},{tilt},{}\n", taken.exposure_s);

@@ -123,7 +123,8 @@ fn make(folder: &Path) {
         let mut camera = SimulatedCamera::new(Scene::one_lobe(), options, || (pan_rad, tilt_rad));
         for (index, time_s) in TIMES_S.into_iter().enumerate() {
             let name = format!("view{view:03}_{index}");
-            let taken = camera.photograph(time_s, &folder.join("photos").join(&name)).unwrap();
+            let taken =
+                camera.photograph(time_s, &folder.join("photos").join(&name)).unwrap().taken().unwrap();
             let (pan, tilt) = (pan_rad.to_degrees(), tilt_rad.to_degrees());
             table += &format!("{name}.png,{view},{pan},{tilt},{:.5}\n", taken.exposure_s);
         }

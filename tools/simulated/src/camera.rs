@@ -10,7 +10,7 @@ use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 use rayon::prelude::*;
-use rigel::camera::{Camera, Taken};
+use rigel::camera::{Camera, Shot, Taken};
 use rigel::file::write_bytes;
 use rigel::geometry::{Lens, Pose};
 use rigel::radiance::RadianceImage;
@@ -131,9 +131,9 @@ impl<R: Fn() -> (f64, f64)> SimulatedCamera<R> {
     /// Those of [`Camera::photograph`].
     pub fn photograph_even_sheet(&mut self, exposure_s: f64, stem: &Path) -> Result<Taken> {
         self.seen = Some((self.pose(), vec![[1.0; 3]; self.eye.rays.len()]));
-        let taken = self.photograph(exposure_s, stem);
+        let shot = self.photograph(exposure_s, stem);
         self.seen = None;
-        taken
+        shot?.taken()
     }
 
     /// The levels of one photograph, RGB row by row, as [`Camera::photograph`] writes them. Each call has new noise.
@@ -224,7 +224,7 @@ impl<R: Fn() -> (f64, f64)> Camera for SimulatedCamera<R> {
         [1e-4, 2.0]
     }
 
-    fn photograph(&mut self, exposure_s: f64, stem: &Path) -> Result<Taken> {
+    fn photograph(&mut self, exposure_s: f64, stem: &Path) -> Result<Shot> {
         let [shortest, longest] = self.exposure_range_s();
         if !(shortest..=longest).contains(&exposure_s) {
             return Err(Error::request(
@@ -241,7 +241,7 @@ impl<R: Fn() -> (f64, f64)> Camera for SimulatedCamera<R> {
         file.push(extension);
         let file = PathBuf::from(file);
         write_bytes(&file, &bytes)?;
-        Ok(Taken { file, exposure_s: ticks * TICK_S })
+        Ok(Shot::Taken(Taken { file, exposure_s: ticks * TICK_S }))
     }
 
     fn file_size_bytes(&self) -> u64 {
@@ -462,7 +462,7 @@ mod tests {
         for jpeg_quality in [Some(95), None] {
             let options = Options { jpeg_quality, ..small() };
             let mut camera = SimulatedCamera::new(Scene::patchwork(), options, rig_at(0.0, 0.3));
-            let taken = camera.photograph(0.012_344, &folder.path().join("view.7")).unwrap();
+            let taken = camera.photograph(0.012_344, &folder.path().join("view.7")).unwrap().taken().unwrap();
             assert!((taken.exposure_s - 0.01234).abs() < 1e-9);
             let name = taken.file.file_name().unwrap().to_str().unwrap();
             assert_eq!(name, if jpeg_quality.is_some() { "view.7.jpg" } else { "view.7.png" });
