@@ -6,6 +6,7 @@
 #![cfg_attr(not(test), no_std)]
 
 mod controller;
+pub mod isotrak;
 mod motion;
 mod pins;
 
