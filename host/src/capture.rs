@@ -1,13 +1,13 @@
 //! A capture session: the rig goes from view to view, the camera brackets each until no pixel is saturated.
 
-use std::path::Path;
-
-use crate::camera::Camera;
+use crate::camera::{Camera, Shot};
 use crate::picture::Picture;
-use crate::progress::Progress;
+use crate::progress::{Progress, Silent};
 use crate::rig::Rig;
 use crate::sampling::Stop;
-use crate::session::{Event, Manifest, Photograph, Session, View};
+use crate::session::{
+    self, Content, Event, Exposed, Manifest, Photograph, Place, Run, Session, View, stem_of,
+};
 use crate::{Error, Result};
 
 /// What a capture will take.
@@ -97,79 +97,144 @@ pub fn plan(manifest: &Manifest, done: &[usize], rig: &dyn Rig, camera: &dyn Cam
     })
 }
 
-/// Photographs every view of a session that is not done yet. A view that was interrupted goes on where it stopped.
+/// Photographs every view of a session that is not done yet. A view that was interrupted goes on where it stopped: what the
+/// journal has is kept where its file has the hash that the journal has, all else is taken again. Of the views that are
+/// done, photographs that are missing or have another size are taken again, and those that [`Session::verify`] found.
+///
+/// A photograph is written beside its place, brought to the disk, moved to its place, and then told to the journal: whatever
+/// ends the capture, at most the last photograph is lost. Of a camera that keeps its files ([`Shot::Later`]) a view's whole
+/// bracket is exposed, since no picture tells when it is enough, and [`crate::session::collect`] brings the files.
 ///
 /// # Errors
-/// What the rig, the camera or the disk report; [`Error::Interrupted`]. What was recorded until then is kept, and calling this
-/// again completes the session.
+/// What the rig, the camera or the disk report; [`Error::Input`] when somebody else writes into the session;
+/// [`Error::Interrupted`]. What was recorded until then is kept, and calling this again completes the session.
 pub fn capture(
     session: &mut Session,
     rig: &mut dyn Rig,
     camera: &mut dyn Camera,
     progress: &dyn Progress,
 ) -> Result<()> {
+    session.lock()?;
+    session.verify(false, &Silent)?;
     let times = bracket(&session.manifest, camera)?;
     plan(&session.manifest, &session.done_views(), rig, camera)?;
     let total = session.manifest.views.len();
+    if (0..total).all(|view| session.is_done(view)) {
+        return progress.step(total, total);
+    }
+    session.record(Event::Run(Run::now(rig.describe(), camera.describe())))?;
     for view in 0..total {
         progress.step(view, total)?;
         if session.is_done(view) {
             continue;
         }
         let [pan_rad, tilt_rad] = target(&session.manifest, view)?;
-        rig.move_to(pan_rad, tilt_rad)?;
-        photograph_view(session, view, camera, &times, &|| progress.step(view, total))?;
+        let reached = rig.move_to(pan_rad, tilt_rad)?;
+        let place = Place {
+            commanded_deg: [pan_rad.to_degrees(), tilt_rad.to_degrees()],
+            reported_deg: [reached.pan_rad.to_degrees(), reached.tilt_rad.to_degrees()],
+            settle_s: reached.settle_s,
+        };
+        photograph_view(session, view, place, camera, &times, &|| progress.step(view, total))?;
         session.record(Event::ViewDone { view })?;
     }
     progress.step(total, total)
 }
 
-/// The recursion "halve the time until no pixel is saturated" (thesis, chapter 7). What an interrupted view already has is
-/// kept; a photograph whose file is missing or damaged is taken again, and its later record then counts.
+/// The recursion "halve the time until no pixel is saturated" (thesis, chapter 7).
 fn photograph_view(
     session: &mut Session,
     view: usize,
+    place: Place,
     camera: &mut dyn Camera,
     times: &[f64],
     interrupted: &dyn Fn() -> Result<()>,
 ) -> Result<()> {
+    // Of photographs that nobody has seen yet, nobody knows which is the last that is needed.
+    let mut unseen =
+        session.events().iter().any(|event| matches!(event, Event::Exposed(e) if e.view == view));
     for (index, &time) in times.iter().enumerate() {
         interrupted()?;
         let stem = format!("photographs/{}_{index}", session.manifest.views[view].name);
+        if session.waiting().iter().any(|exposed| exposed.stem == stem) {
+            continue;
+        }
         let picture = match kept(session, view, &stem)? {
-            Some(picture) => picture,
-            None => {
-                let shot = camera.photograph(time, &session.folder().join(&stem))?.taken()?;
-                // Reading the file back also proves that the camera wrote it whole.
-                let picture = Picture::read(&shot.file)?;
-                let file = shot.file.strip_prefix(session.folder()).unwrap_or(&shot.file);
-                // The journal is the same on every system.
-                let file = file.to_string_lossy().replace('\\', "/");
-                let exposure_s = Some(shot.exposure_s);
-                session.record(Event::Photograph(Photograph { view, file, exposure_s }))?;
-                picture
-            }
+            Some(picture) => Some(picture),
+            None => take(session, view, &stem, place, camera, time)?,
         };
-        if !is_saturated(&picture) {
+        unseen |= picture.is_none();
+        if !unseen && picture.is_some_and(|picture| !is_saturated(&picture)) {
             break;
         }
     }
     Ok(())
 }
 
+/// Takes a photograph and tells the journal; `None` where its file comes later.
+fn take(
+    session: &mut Session,
+    view: usize,
+    stem: &str,
+    place: Place,
+    camera: &mut dyn Camera,
+    asked_exposure_s: f64,
+) -> Result<Option<Picture>> {
+    let began = session::now();
+    let mut later = None;
+    let adopted = session.adopt(stem, |path| match camera.photograph(asked_exposure_s, path)? {
+        Shot::Later { at, .. } => {
+            later = Some(at);
+            Ok(None)
+        }
+        Shot::Taken(taken) => {
+            // Reading the file back also proves that the camera wrote it whole.
+            let (picture, content) = (Picture::read(&taken.file)?, Content::of(&taken.file)?);
+            Ok(Some((taken.file, (picture, content, taken.exposure_s))))
+        }
+    })?;
+    let place = Some(place);
+    if let Some(at) = later {
+        let stem = stem.to_owned();
+        session.record(Event::Exposed(Exposed { view, stem, asked_exposure_s, at, place }))?;
+    }
+    let Some((file, (picture, content, exposure_s))) = adopted else { return Ok(None) };
+    if let Some(other) = recorded(session, view, stem).filter(|other| other.file != file) {
+        return Err(Error::input(
+            session.folder(),
+            format!("{file} cannot take the place of {}", other.file),
+            "go on with the camera and the format with which the session began",
+        ));
+    }
+    session.record(Event::Photograph(Photograph {
+        view,
+        file,
+        exposure_s: Some(exposure_s),
+        asked_exposure_s: Some(asked_exposure_s),
+        at: Some(began),
+        place,
+        content: Some(content),
+    }))?;
+    Ok(Some(picture))
+}
+
+/// The photograph of that stem which the journal has.
+fn recorded(session: &Session, view: usize, stem: &str) -> Option<Photograph> {
+    let photographs = session.photographs(view);
+    let found = photographs.into_iter().find(|photograph| stem_of(&photograph.file) == stem);
+    found.cloned()
+}
+
 /// The photograph of that stem which the journal has, unless its file is missing or damaged.
 fn kept(session: &Session, view: usize, stem: &str) -> Result<Option<Picture>> {
-    let photographs = session.photographs(view);
-    let Some(photograph) = photographs
-        .iter()
-        .find(|photograph| Path::new(&photograph.file).with_extension("") == Path::new(stem))
-    else {
+    let Some(photograph) = recorded(session, view, stem) else { return Ok(None) };
+    if !session.is_intact(&photograph)? {
         return Ok(None);
-    };
-    match Picture::read(session.photograph_path(photograph)) {
+    }
+    match Picture::read(session.photograph_path(&photograph)) {
         Ok(picture) => Ok(Some(picture)),
+        // An old journal has no hash that would have told.
         Err(Error::Input { .. }) => Ok(None),
-        Err(Error::Io { source, .. }) if source.kind() == std::io::ErrorKind::NotFound => Ok(None),
         Err(error) => Err(error),
     }
 }

@@ -14,7 +14,8 @@ pub fn write_beside(path: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Res
     let temporary = temporary_for(path);
     let finished = write(&temporary)
         .and_then(|()| sync(&temporary).map_err(Error::io("write", path)))
-        .and_then(|()| fs::rename(&temporary, path).map_err(Error::io("write", path)));
+        .and_then(|()| fs::rename(&temporary, path).map_err(Error::io("write", path)))
+        .and_then(|()| sync_folder_of(path).map_err(Error::io("write", path)));
     if finished.is_err() {
         remove(&temporary);
     }
@@ -39,6 +40,27 @@ fn sync(temporary: &Path) -> std::io::Result<()> {
         fs::OpenOptions::new().write(true).open(temporary)?.sync_all()?;
     }
     Ok(())
+}
+
+/// Waits until the name of a new file is on the disk. Only Unix lets a program wait for that; elsewhere it is the file
+/// system's own business.
+pub(crate) fn sync_folder_of(path: &Path) -> std::io::Result<()> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    match cfg!(unix).then(|| fs::File::open(folder).and_then(|folder| folder.sync_all())) {
+        // Some file systems do not know how.
+        Some(Err(error)) if error.kind() != std::io::ErrorKind::InvalidInput => Err(error),
+        _ => Ok(()),
+    }
+}
+
+/// Moves a finished file to its place: it is on the disk, under its name, when this returns.
+///
+/// # Errors
+/// [`Error::Io`] when it cannot be written or moved.
+pub(crate) fn put_in_place(file: &Path, place: &Path) -> Result<()> {
+    sync(file).map_err(Error::io("write", place))?;
+    fs::rename(file, place).map_err(Error::io("write", place))?;
+    sync_folder_of(place).map_err(Error::io("write", place))
 }
 
 /// Best effort: the error that matters is the one that made this necessary.

@@ -65,6 +65,17 @@ pub fn measure(session: &Session, choice: &ResponseChoice, progress: &dyn Progre
             "go on with `rigel capture --resume`",
         ));
     }
+    if let Some(exposed) = session.waiting().first() {
+        return Err(Error::input(
+            session.folder(),
+            format!(
+                "{} photographs from {} on are still in the camera",
+                session.waiting().len(),
+                exposed.stem
+            ),
+            "bring them with `rigel collect`",
+        ));
+    }
     let looked_at = if *choice == ResponseChoice::Recover { views.len().min(VIEWS_FOR_RESPONSE) } else { 0 };
     let total = looked_at + views.len();
     let mut samples = Samples::default();
@@ -174,7 +185,8 @@ fn made_from(
         let path = session.photograph_path(photograph);
         let metadata = fs::metadata(&path).map_err(Error::io("read", &path))?;
         let (length, changed) = (metadata.len(), metadata.modified().map_err(Error::io("read", &path))?);
-        let _ = writeln!(text, "{photograph:?} {length} {changed:?}");
+        let (view, file, exposure_s) = (photograph.view, &photograph.file, photograph.exposure_s);
+        let _ = writeln!(text, "{view} {file} {exposure_s:?} {length} {changed:?}");
     }
     Ok(text)
 }

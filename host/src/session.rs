@@ -1,18 +1,31 @@
 //! A capture on disk: a folder with a manifest (`session.toml`: what was planned), an append-only journal
 //! (`journal.jsonl`: what was photographed) and the camera's own files, untouched, under `photographs/`.
 
+mod content;
+mod event;
 pub mod import;
 mod journal;
+mod lock;
 mod manifest;
+mod time;
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
-pub use journal::{Event, Journal, Photograph};
+pub use content::Content;
+pub use event::{Event, Exposed, Photograph, Place, Run};
+pub use journal::Journal;
 pub use manifest::{Manifest, View};
 
 use crate::geometry::Pose;
-use crate::{Error, Result};
+use crate::progress::Progress;
+use crate::{Error, Result, file};
+use lock::{LOCK_FILE, Lock};
+
+/// Where photographs are until they are complete. Only the holder of the lock touches it.
+const TAKING: &str = "taking";
 
 /// An open session.
 #[derive(Debug)]
@@ -21,30 +34,45 @@ pub struct Session {
     /// What was planned: surface, lenses and views.
     pub manifest: Manifest,
     journal: Journal,
+    /// Held by whoever writes.
+    lock: Option<Lock>,
+    /// Photographs, by file, that were found missing or changed.
+    damaged: BTreeSet<String>,
 }
 
 impl Session {
-    /// Starts a session in `folder`, which must not exist or be empty.
+    /// Starts a session in `folder`, which must not exist or be empty, or hold nothing but what a start that was killed has
+    /// left. Nobody else can write into it until it is dropped.
     ///
     /// # Errors
-    /// [`Error::Input`] when the folder holds something, [`Error::Io`] when it cannot be written; then it is as it was.
+    /// [`Error::Input`] when the folder holds something or somebody else starts there, [`Error::Io`] when it cannot be
+    /// written; then it is as it was.
     pub fn create(folder: &Path, manifest: Manifest) -> Result<Self> {
-        refuse_occupied(folder)?;
         let existed = folder.exists();
-        if let Err(error) = make(folder, &manifest) {
-            // What is left behind would be neither empty nor a session. The error that matters is the first one.
-            let _ = fs::remove_file(folder.join("session.toml"));
-            let _ = fs::remove_dir(folder.join("photographs"));
-            if !existed {
-                let _ = fs::remove_dir(folder);
+        if !is_unfinished(folder) {
+            refuse_occupied(folder)?;
+        }
+        fs::create_dir_all(folder).map_err(Error::io("create", folder))?;
+        let lock = Lock::take(folder)?;
+        // Somebody else may have finished between the first look and the lock.
+        let made = if is_unfinished(folder) { make(folder, &manifest) } else { refuse_occupied(folder) };
+        if let Err(error) = made {
+            drop(lock);
+            if is_unfinished(folder) {
+                // What is left behind would be neither empty nor a session. The error that matters is the first one.
+                let _ = fs::remove_dir(folder.join("photographs"));
+                let _ = fs::remove_file(folder.join(LOCK_FILE));
+                if !existed {
+                    let _ = fs::remove_dir(folder);
+                }
             }
             return Err(error);
         }
         let journal = Journal::open(&folder.join("journal.jsonl"))?;
-        Ok(Self { folder: folder.into(), manifest, journal })
+        Ok(Self { folder: folder.into(), manifest, journal, lock: Some(lock), damaged: BTreeSet::new() })
     }
 
-    /// Opens a session to read it or to go on with it.
+    /// Opens a session to read it or to go on with it; somebody else may be writing into it.
     ///
     /// # Errors
     /// [`Error::Input`] when the folder is not a session or its manifest or journal is damaged.
@@ -58,21 +86,69 @@ impl Session {
             ));
         }
         let manifest = Manifest::read(&path)?;
-        let journal = Journal::open(&folder.join("journal.jsonl"))?;
-        let session = Self { folder: folder.into(), manifest, journal };
-        for photograph in session.journal.photographs() {
-            if photograph.view >= session.manifest.views.len() {
+        let journal = read_journal(folder, &manifest)?;
+        Ok(Self { folder: folder.into(), manifest, journal, lock: None, damaged: BTreeSet::new() })
+    }
+
+    /// Takes the right to write into the session, until it is dropped, and clears away what a capture that was killed has
+    /// left half done. Whoever already has the right keeps it.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when another process writes into it or has damaged it meanwhile; [`Error::Io`].
+    pub fn lock(&mut self) -> Result<()> {
+        if self.lock.is_some() {
+            return Ok(());
+        }
+        let lock = Lock::take(&self.folder)?;
+        // What somebody else has written since this was opened.
+        self.journal = read_journal(&self.folder, &self.manifest)?;
+        self.lock = Some(lock);
+        self.clear_taking()
+    }
+
+    /// Removes what was written half.
+    fn clear_taking(&self) -> Result<()> {
+        let taking = self.folder.join(TAKING);
+        match fs::remove_dir_all(&taking) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                Err(Error::io("remove", taking)(error))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Has a file or a folder written and moves it to `name` in the session when it is complete, plus the extension that
+    /// `write` has given it. `write` gets the path to write to and returns what it has written, and something more.
+    ///
+    /// # Errors
+    /// Those of `write`, [`Session::lock`] and of the disk; then nothing is left of it.
+    pub fn adopt<T>(
+        &mut self,
+        name: &str,
+        write: impl FnOnce(&Path) -> Result<Option<(PathBuf, T)>>,
+    ) -> Result<Option<(String, T)>> {
+        self.lock()?;
+        let (folder, last) = name.rsplit_once('/').map_or(("", name), |(folder, last)| (folder, last));
+        let taking = self.folder.join(TAKING);
+        fs::create_dir_all(&taking).map_err(Error::io("create", &taking))?;
+        let adopted = write(&taking.join(last)).and_then(|written| {
+            let Some((path, more)) = written else { return Ok(None) };
+            if path.parent() != Some(&taking) {
+                // Moved from there, it would be missed by whoever put it there.
                 return Err(Error::input(
-                    folder.join("journal.jsonl"),
-                    format!(
-                        "{} belongs to view {}, which the manifest does not have",
-                        photograph.file, photograph.view
-                    ),
-                    "restore session.toml from a copy",
+                    path,
+                    format!("was written in place of {}", taking.join(last).display()),
+                    "report this as a defect of the camera's driver",
                 ));
             }
-        }
-        Ok(session)
+            let place = self.folder.join(folder).join(path.file_name().unwrap_or_default());
+            file::put_in_place(&path, &place)?;
+            // The journal is the same on every system.
+            let inside = place.strip_prefix(&self.folder).unwrap_or(&place);
+            Ok(Some((inside.to_string_lossy().replace('\\', "/"), more)))
+        });
+        let cleared = self.clear_taking();
+        adopted.and_then(|adopted| cleared.map(|()| adopted))
     }
 
     /// The session's folder.
@@ -120,14 +196,65 @@ impl Session {
     /// Writes an event to the journal; it is on the disk when this returns.
     ///
     /// # Errors
-    /// [`Error::Io`] when the disk is full or cannot be written.
+    /// [`Error::Io`] when the disk is full or cannot be written; those of [`Session::lock`].
     pub fn record(&mut self, event: Event) -> Result<()> {
+        self.lock()?;
+        if let Event::Photograph(photograph) = &event {
+            self.damaged.remove(&photograph.file);
+        }
         self.journal.append(event)
     }
 
-    /// Whether the journal says that all photographs of a view were taken.
+    /// Everything that the journal remembers, in order.
+    pub fn events(&self) -> &[Event] {
+        self.journal.events()
+    }
+
+    /// Notes that something has happened to a device.
+    ///
+    /// # Errors
+    /// Those of [`Session::record`].
+    pub fn notice(&mut self, text: impl Into<String>) -> Result<()> {
+        self.record(Event::Notice { at: time::now(), text: text.into() })
+    }
+
+    /// The photographs that the camera still has, in the order in which they were exposed.
+    pub fn waiting(&self) -> Vec<&Exposed> {
+        self.journal.waiting()
+    }
+
+    /// Compares the photographs with the journal: their sizes, and with `hashes` every byte of them. What is missing or changed
+    /// is remembered, and its view is not done any more. Returns a sentence for each.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when a file is there and cannot be read; [`Error::Interrupted`].
+    pub fn verify(&mut self, hashes: bool, progress: &dyn Progress) -> Result<Vec<String>> {
+        let photographs: Vec<&Photograph> = self.journal.photographs().collect();
+        let (mut damaged, mut sentences) = (BTreeSet::new(), vec![]);
+        for (index, photograph) in photographs.iter().enumerate() {
+            progress.step(index, photographs.len())?;
+            let path = self.photograph_path(photograph);
+            if let Some(damage) = Content::damage(photograph.content.as_ref(), &path, hashes)? {
+                damaged.insert(photograph.file.clone());
+                sentences.push(format!("{} {damage}", photograph.file));
+            }
+        }
+        progress.step(photographs.len(), photographs.len())?;
+        self.damaged.extend(damaged);
+        Ok(sentences)
+    }
+
+    /// Whether a photograph's file is as it was: every byte of it is read.
+    pub(crate) fn is_intact(&self, photograph: &Photograph) -> Result<bool> {
+        let path = self.photograph_path(photograph);
+        Ok(!self.damaged.contains(&photograph.file)
+            && Content::damage(photograph.content.as_ref(), &path, true)?.is_none())
+    }
+
+    /// Whether the journal says that all photographs of a view were taken, and none of them was found damaged.
     pub fn is_done(&self, view: usize) -> bool {
         self.journal.is_done(view)
+            && !(self.damaged.iter().any(|file| self.photographs(view).iter().any(|p| p.file == *file)))
     }
 
     /// The views of which all photographs were taken, by index.
@@ -162,11 +289,69 @@ impl Session {
     }
 }
 
+/// Now, as exactly as a journal writes it.
+pub(crate) fn now() -> SystemTime {
+    time::now()
+}
+
+/// A file's name in the journal without its extension.
+pub(crate) fn stem_of(file: &str) -> &str {
+    journal::stem(file)
+}
+
+fn read_journal(folder: &Path, manifest: &Manifest) -> Result<Journal> {
+    let path = folder.join("journal.jsonl");
+    let journal = Journal::open(&path)?;
+    for event in journal.events() {
+        let (what, view) = match event {
+            Event::Photograph(photograph) => (photograph.file.as_str(), photograph.view),
+            Event::Exposed(exposed) => (exposed.stem.as_str(), exposed.view),
+            Event::Run(_) | Event::ViewDone { .. } | Event::Notice { .. } => continue,
+        };
+        if view >= manifest.views.len() {
+            return Err(Error::input(
+                &path,
+                format!("{what} belongs to view {view}, which the manifest does not have"),
+                "restore session.toml from a copy",
+            ));
+        }
+    }
+    Ok(journal)
+}
+
+/// The manifest comes last: a folder with it is a session.
 fn make(folder: &Path, manifest: &Manifest) -> Result<()> {
-    fs::create_dir_all(folder).map_err(Error::io("create", folder))?;
-    manifest.write(&folder.join("session.toml"))?;
     let photographs = folder.join("photographs");
-    fs::create_dir(&photographs).map_err(Error::io("create", &photographs))
+    match fs::create_dir(&photographs) {
+        Err(error) if error.kind() != std::io::ErrorKind::AlreadyExists => {
+            return Err(Error::io("create", &photographs)(error));
+        }
+        _ => {}
+    }
+    for entry in fs::read_dir(folder).map_err(Error::io("read", folder))? {
+        let path = entry.map_err(Error::io("read", folder))?.path();
+        if path.extension().is_some_and(|end| end == "rigel-tmp") {
+            fs::remove_file(&path).map_err(Error::io("remove", path))?;
+        }
+    }
+    manifest.write(&folder.join("session.toml"))
+}
+
+/// Whether a folder is what [`make`] has left that did not come to its end.
+fn is_unfinished(folder: &Path) -> bool {
+    let Ok(entries) = fs::read_dir(folder) else { return false };
+    let mut locked = false;
+    for entry in entries {
+        let Ok(entry) = entry else { return false };
+        let name = entry.file_name().to_string_lossy().into_owned();
+        match name.as_str() {
+            LOCK_FILE => locked = true,
+            "photographs" if fs::read_dir(entry.path()).is_ok_and(|mut inside| inside.next().is_none()) => {}
+            _ if name.starts_with("session.toml.") && name.ends_with(".rigel-tmp") => {}
+            _ => return false,
+        }
+    }
+    locked
 }
 
 fn refuse_occupied(folder: &Path) -> Result<()> {
@@ -200,7 +385,12 @@ mod tests {
     }
 
     fn photograph(view: usize, file: &str) -> Event {
-        Event::Photograph(Photograph { view, file: file.into(), exposure_s: Some(0.5) })
+        Event::Photograph(Photograph {
+            view,
+            file: file.into(),
+            exposure_s: Some(0.5),
+            ..Photograph::default()
+        })
     }
 
     #[test]

@@ -83,7 +83,8 @@ fn make(folder: &std::path::Path, width: u32) -> Result<Session> {
             radiance,
         };
         image.write_exr(&session.radiance_path(view), "simulated")?;
-        let photograph = Photograph { view, file: format!("photographs/{view}.png"), exposure_s: Some(1.0) };
+        let file = format!("photographs/{view}.png");
+        let photograph = Photograph { view, file, exposure_s: Some(1.0), ..Photograph::default() };
         session.record(Event::Photograph(photograph))?;
         session.record(Event::ViewDone { view })?;
     }

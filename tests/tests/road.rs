@@ -226,7 +226,8 @@ fn even_session(folder: &Path, views: usize) -> Session {
         mask: vec![0; pixels],
     };
     for view in 0..views {
-        let photograph = Photograph { view, file: format!("photographs/{view}.png"), exposure_s: Some(1.0) };
+        let file = format!("photographs/{view}.png");
+        let photograph = Photograph { view, file, exposure_s: Some(1.0), ..Photograph::default() };
         session.record(Event::Photograph(photograph)).unwrap();
         session.record(Event::ViewDone { view }).unwrap();
         image.write_exr(&session.radiance_path(view), "test").unwrap();

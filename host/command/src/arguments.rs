@@ -69,9 +69,13 @@ pub struct Capture {
     /// Print views, time and disk space; move and photograph nothing
     #[arg(long)]
     pub dry_run: bool,
-    /// Go on with a session that was interrupted (its own views are kept)
+    /// Go on with a session that was interrupted, in whatever way (its own views are kept)
     #[arg(long)]
     pub resume: bool,
+    /// Compare every byte of the photographs that are there with the journal's hashes, and take the damaged ones again
+    /// [default: their sizes, and every byte of the view that was interrupted]
+    #[arg(long, requires = "resume")]
+    pub verify: bool,
 }
 
 #[derive(Clone, Copy, ValueEnum)]

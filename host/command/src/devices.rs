@@ -1,12 +1,12 @@
 //! The rig and the camera that the user named.
 
 use std::cell::Cell;
-use std::path::Path;
 use std::rc::Rc;
 
 use rigel::camera::Camera;
 use rigel::geometry::{Lens, Surface};
 use rigel::rig::{Reached, Rig, RigLimits, SerialRig};
+use rigel::session::Session;
 use rigel::{Error, Result};
 use rigel_simulated::camera::{Options, SimulatedCamera};
 use rigel_simulated::rig::{RigOptions, SimulatedRig};
@@ -78,16 +78,19 @@ impl Devices {
         format!("{}; {}", self.rig.describe(), self.camera.describe())
     }
 
-    /// Photographs an even sheet for the vignetting, into the session's folder.
+    /// Photographs an even sheet for the vignetting, into the session's folder: all of them or none.
     ///
     /// # Errors
     /// [`Error::Io`] when the folder cannot be written.
-    pub fn photograph_flats(&mut self, session: &Path) -> Result<()> {
-        let folder = session.join("flats");
-        std::fs::create_dir_all(&folder).map_err(Error::io("create", &folder))?;
-        for index in 0..3 {
-            self.sheet.photograph_even_sheet(FLAT_EXPOSURE_S, &folder.join(format!("flat{index}")))?;
-        }
+    pub fn photograph_flats(&mut self, session: &mut Session) -> Result<()> {
+        session.adopt("flats", |folder| {
+            std::fs::create_dir(folder).map_err(Error::io("create", folder))?;
+            for index in 0..3 {
+                let stem = folder.join(format!("flat{index}"));
+                self.sheet.photograph_even_sheet(FLAT_EXPOSURE_S, &stem)?;
+            }
+            Ok(Some((folder.to_path_buf(), ())))
+        })?;
         Ok(())
     }
 }

@@ -10,7 +10,7 @@ use std::fs;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
-use super::{Event, Manifest, Photograph, Session};
+use super::{Content, Event, LOCK_FILE, Manifest, Photograph, Session};
 use crate::geometry::Surface;
 use crate::picture::Picture;
 use crate::progress::Progress;
@@ -269,9 +269,15 @@ fn fill(found: &[Found], manifest: Manifest, folder: &Path, progress: &dyn Progr
             view: photograph.view,
             file,
             exposure_s: photograph.exposure_s,
+            content: Some(Content::of(&copy)?),
+            ..Photograph::default()
         }))?;
     }
     (0..session.manifest.views.len()).try_for_each(|view| session.record(Event::ViewDone { view }))?;
+    drop(session);
+    // Nobody else knows of this folder yet.
+    let lock = folder.join(LOCK_FILE);
+    fs::remove_file(&lock).map_err(Error::io("remove", lock))?;
     progress.step(2 * found.len(), 2 * found.len())
 }
 

@@ -1,39 +1,13 @@
 //! The append-only journal of a session: one JSON object per line, flushed to the disk before the next step.
 
-use std::collections::HashMap;
 use std::collections::hash_map::Entry;
+use std::collections::{BTreeMap, HashMap};
 use std::fs::{File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use serde::{Deserialize, Serialize};
-
-use crate::{Error, Result};
-
-/// One photograph of a view.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Photograph {
-    /// Index of the view in the manifest.
-    pub view: usize,
-    /// The camera's own file, relative to the session's folder.
-    pub file: String,
-    /// The exposure time that was really used, seconds; absent where nobody knows it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub exposure_s: Option<f64>,
-}
-
-/// What the journal remembers.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Event {
-    /// A photograph was taken and its file is complete.
-    Photograph(Photograph),
-    /// All photographs of a view were taken.
-    ViewDone {
-        /// Index of the view in the manifest.
-        view: usize,
-    },
-}
+use super::event::{Event, Exposed, Photograph};
+use crate::{Error, Result, file};
 
 /// The journal, open for appending.
 #[derive(Debug)]
@@ -55,6 +29,15 @@ impl Journal {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => vec![],
             Err(error) => return Err(Error::io("read", path)(error)),
         };
+        Ok(Self { path: path.into(), file: None, events: Self::parse(&bytes, path)?.0 })
+    }
+
+    /// The events of a journal's bytes, and how many of the bytes they are: the rest is a torn last line. `path` is named in
+    /// errors.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when a whole line is damaged.
+    pub fn parse(bytes: &[u8], path: &Path) -> Result<(Vec<Event>, usize)> {
         let whole = bytes.iter().rposition(|&byte| byte == b'\n').map_or(0, |end| end + 1);
         let events = bytes[..whole]
             .split_inclusive(|&byte| byte == b'\n')
@@ -69,7 +52,7 @@ impl Journal {
                 })
             })
             .collect::<Result<_>>()?;
-        Ok(Self { path: path.into(), file: None, events })
+        Ok((events, whole))
     }
 
     /// Appends an event and waits until it is on the disk. After a failure the next one takes the place of what was torn.
@@ -90,12 +73,16 @@ impl Journal {
 
     fn append_line(&mut self, line: &str) -> std::io::Result<()> {
         if self.file.is_none() {
+            let is_new = !self.path.exists();
             let file = OpenOptions::new().create(true).read(true).append(true).open(&self.path)?;
             // Cut a torn last line, so that the next one does not join it.
             let text = std::fs::read(&self.path)?;
             let whole = text.iter().rposition(|&byte| byte == b'\n').map_or(0, |end| end + 1);
             if whole < text.len() {
                 file.set_len(whole as u64)?;
+            }
+            if is_new {
+                file::sync_folder_of(&self.path)?;
             }
             self.file = Some(file);
         }
@@ -121,9 +108,41 @@ impl Journal {
         photographs.into_iter()
     }
 
+    /// What was exposed and not collected since, in order.
+    pub fn waiting(&self) -> Vec<&Exposed> {
+        let mut waiting = BTreeMap::new();
+        for (index, event) in self.events.iter().enumerate() {
+            match event {
+                Event::Exposed(exposed) => {
+                    waiting.insert(exposed.stem.as_str(), (index, exposed));
+                }
+                Event::Photograph(photograph) => {
+                    waiting.remove(stem(&photograph.file));
+                }
+                Event::Run(_) | Event::ViewDone { .. } | Event::Notice { .. } => {}
+            }
+        }
+        let mut waiting: Vec<_> = waiting.into_values().collect();
+        waiting.sort_by_key(|&(index, _)| index);
+        waiting.into_iter().map(|(_, exposed)| exposed).collect()
+    }
+
+    /// Everything that it remembers, in order.
+    pub fn events(&self) -> &[Event] {
+        &self.events
+    }
+
     /// Whether all photographs of `view` were taken.
     pub fn is_done(&self, view: usize) -> bool {
         self.events.iter().any(|event| matches!(event, Event::ViewDone { view: done } if *done == view))
+    }
+}
+
+/// A file's name without its extension; in the journal the separator is `/` on every system.
+pub(super) fn stem(file: &str) -> &str {
+    match file.rfind('.') {
+        Some(dot) if !file[dot..].contains('/') => &file[..dot],
+        _ => file,
     }
 }
 

@@ -136,15 +136,20 @@ impl<R: Fn() -> (f64, f64)> SimulatedCamera<R> {
         shot?.taken()
     }
 
-    /// The levels of one photograph, RGB row by row, as [`Camera::photograph`] writes them. Each call has new noise.
+    /// The levels of one photograph, RGB row by row, as [`Camera::photograph`] writes them. Each call has new noise; that of
+    /// a photograph in a file depends on the file's name instead, so that one that is taken again is the same again.
     pub fn levels(&mut self, exposure_s: f64) -> Vec<u8> {
+        self.photographs += 1;
+        self.expose(exposure_s, self.photographs)
+    }
+
+    fn expose(&mut self, exposure_s: f64, photograph: u64) -> Vec<u8> {
         let pose = self.pose();
         let radiance = match self.seen.take() {
             Some((at, radiance)) if at == pose => radiance,
             _ => self.eye.render(&pose),
         };
-        self.photographs += 1;
-        let levels = self.eye.develop(&radiance, exposure_s, self.photographs);
+        let levels = self.eye.develop(&radiance, exposure_s, photograph);
         self.seen = Some((pose, radiance));
         levels
     }
@@ -233,7 +238,7 @@ impl<R: Fn() -> (f64, f64)> Camera for SimulatedCamera<R> {
             ));
         }
         let ticks = (exposure_s / TICK_S).round();
-        let levels = self.levels(ticks * TICK_S);
+        let levels = self.expose(ticks * TICK_S, number_of(stem));
         let exif = exif_with_exposure(ticks as u32);
         let (extension, bytes) = self.eye.encode(&levels, exif)?;
         // `with_extension` would cut a stem such as "view.3" short.
@@ -248,6 +253,13 @@ impl<R: Fn() -> (f64, f64)> Camera for SimulatedCamera<R> {
         let pixels = u64::from(self.eye.options.lens.width) * u64::from(self.eye.options.lens.height);
         if self.eye.options.jpeg_quality.is_some() { pixels / 2 } else { pixels * 3 }
     }
+}
+
+/// A number for the photograph of that stem: FNV-1a of its file's name.
+fn number_of(stem: &Path) -> u64 {
+    let name = stem.file_name().unwrap_or_default().as_encoded_bytes();
+    name.iter()
+        .fold(0xcbf2_9ce4_8422_2325, |hash, &byte| (hash ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3))
 }
 
 fn encode_with(
@@ -460,7 +472,7 @@ mod tests {
     fn a_photograph_is_a_file_that_tells_its_exposure_time() {
         let folder = tempfile::tempdir().unwrap();
         for jpeg_quality in [Some(95), None] {
-            let options = Options { jpeg_quality, ..small() };
+            let options = Options { jpeg_quality, noise: false, ..small() };
             let mut camera = SimulatedCamera::new(Scene::patchwork(), options, rig_at(0.0, 0.3));
             let taken = camera.photograph(0.012_344, &folder.path().join("view.7")).unwrap().taken().unwrap();
             assert!((taken.exposure_s - 0.01234).abs() < 1e-9);
@@ -480,6 +492,19 @@ mod tests {
             assert!(rms < if jpeg_quality.is_some() { 4.0 } else { 1e-9 }, "{rms}");
             assert!(fs::metadata(&taken.file).unwrap().len() < camera.file_size_bytes() + 1000);
         }
+    }
+
+    #[test]
+    fn a_photograph_that_is_taken_again_is_the_same_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut photograph = |camera: &mut SimulatedCamera<_>, name: &str| {
+            let taken = camera.photograph(0.01, &folder.path().join(name)).unwrap().taken().unwrap();
+            fs::read(taken.file).unwrap()
+        };
+        let mut camera = SimulatedCamera::new(Scene::patchwork(), small(), rig_at(0.0, 0.3));
+        let first = photograph(&mut camera, "view000_1");
+        assert_ne!(photograph(&mut camera, "view000_2"), first, "another one has other noise");
+        assert_eq!(photograph(&mut camera, "view000_1"), first);
     }
 
     #[test]

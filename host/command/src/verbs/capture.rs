@@ -13,28 +13,28 @@ use crate::say::say;
 
 /// `rigel capture`.
 pub fn capture(arguments: &Capture) -> Result<()> {
+    // First of all: a rig that is opened moves.
+    let begun = if arguments.resume { Some(begun(arguments)?) } else { None };
     let mut devices = Devices::open(&arguments.rig, arguments.camera)?;
-    let (manifest, done) = if arguments.resume {
-        let session = Session::open(&arguments.session)?;
-        (session.manifest.clone(), session.done_views())
-    } else {
-        let (manifest, _) =
-            new_manifest(&devices, &directions(arguments)?, arguments.longest_exposure_time_s)?;
-        (manifest, vec![])
+    let (manifest, done) = match &begun {
+        Some(session) => (session.manifest.clone(), session.done_views()),
+        None => {
+            let directions = directions(arguments)?;
+            (new_manifest(&devices, &directions, arguments.longest_exposure_time_s)?.0, vec![])
+        }
     };
-    let plan = plan(&manifest, &done, &*devices.rig, &*devices.camera)?;
+    let plan = plan(&manifest, &done, devices.rig.as_ref(), devices.camera.as_ref())?;
     if arguments.dry_run {
         say(&plan);
         return Ok(());
     }
-    let mut session = if arguments.resume {
-        Session::open(&arguments.session)?
-    } else {
-        Session::create(&arguments.session, manifest)?
+    let mut session = match begun {
+        Some(session) => session,
+        None => Session::create(&arguments.session, manifest)?,
     };
     say(&plan);
     if session.flats()?.is_empty() {
-        devices.photograph_flats(session.folder())?;
+        devices.photograph_flats(&mut session)?;
     }
     capture::capture(&mut session, &mut *devices.rig, &mut *devices.camera, &Bar::new("capturing"))
         .inspect_err(|error| {
@@ -49,6 +49,18 @@ pub fn capture(arguments: &Capture) -> Result<()> {
         session.done_views().len()
     );
     Ok(())
+}
+
+/// The session that is to be completed; nobody else writes into it, and its photographs are those of its journal.
+fn begun(arguments: &Capture) -> Result<Session> {
+    let mut session = Session::open(&arguments.session)?;
+    if !arguments.dry_run {
+        session.lock()?;
+    }
+    for damage in session.verify(arguments.verify, &Bar::new("verifying"))? {
+        say!("{damage}: its view is photographed again");
+    }
+    Ok(session)
 }
 
 fn directions(arguments: &Capture) -> Result<Vec<DVec3>> {

@@ -56,7 +56,7 @@ pub fn demo(arguments: &Demo) -> Result<()> {
     let held_out: Vec<usize> = (0..stops.len()).filter(|&stop| stops[stop].view >= seen).collect();
 
     let mut session = Session::create(&out.join("session"), manifest)?;
-    devices.photograph_flats(session.folder())?;
+    devices.photograph_flats(&mut session)?;
     capture::capture(&mut session, &mut *devices.rig, &mut *devices.camera, &Bar::new("capturing"))?;
     let photographs: usize = session.done_views().iter().map(|&view| session.photographs(view).len()).sum();
     say!("captured {seen} views and {HELD_OUT} that no fit will see: {photographs} photographs");
