@@ -1,15 +1,20 @@
 //! Everything of the rig's firmware that needs no chip: motion in whole numbers and the state machine of commands.
 //!
-//! A board's loop hands every [`rigel_protocol::Request`] that it hears to [`Controller::handle`], calls
-//! [`Controller::tick`] often, and steps its motors to [`Controller::position_udeg`].
+//! A board's loop hands every [`rigel_protocol::Request`] that it hears to [`Controller::handle`] and calls
+//! [`Controller::advance`] whenever [`Controller::next_us`] has come; the core works the [`Pins`].
 
 #![cfg_attr(not(test), no_std)]
 
 mod controller;
+mod conversation;
+mod drive;
+mod homing;
+mod mechanics;
 pub mod isotrak;
 mod motion;
 mod pins;
+mod trigger;
 
-pub use controller::Controller;
-pub use motion::Motion;
+pub use controller::{Controller, Handled};
+pub use mechanics::Mechanics;
 pub use pins::Pins;

@@ -1,219 +1,221 @@
-//! One move of both axes along a straight line of angles, with a trapezoidal speed profile, in integers.
+//! When the steps of a move are due, in whole microseconds.
 //!
-//! Angles are microdegrees, times microseconds. The axis with the longer way sets the profile and the other follows in
-//! proportion, so both start, arrive and brake together. No product exceeds 63 bits within the bounds that
-//! [`crate::Controller::new`] checks.
+//! A move goes from standstill to standstill. The axis with more steps leads; the other follows by Bresenham's
+//! algorithm, always on an edge of the leader, and both make their last step on the same edge. The time of every step
+//! is computed by itself from its number, so nothing adds up and nothing drifts.
+//!
+//! With K the square of the microseconds that the first step would take twice over (`K = 1e12 / acceleration`) and c
+//! the interval at full speed, the trapezoid crosses the middle before step i at
+//!
+//! * `sqrt((2i - 1) K)` while the speed rises, which is as long as `(2i - 1) c² <= K`, and
+//! * `(2i - 1) c / 2 + K / 2c` at full speed,
+//!
+//! and at the mirror images of these times while it falls. K and c are rounded up, so the trapezoid keeps to both
+//! limits exactly, and every time is rounded up to a whole microsecond. Therefore:
+//!
+//! * two steps are never closer than c: no pair of edges is faster than the limit;
+//! * there is one trapezoid within the limits, begun less than one microsecond late, that crosses every step less than
+//!   one microsecond away from its edge: the acceleration is within its limit but for the clock's tick.
+//!
+//! Braking cuts a move short: the same formulas with the smallest number of steps that has the same past. So it keeps
+//! to the same two properties from any point of the way.
 
-/// Where both axes are at every moment of a move.
-#[derive(Debug, Clone, Copy)]
-pub struct Motion {
-    from_udeg: [i64; 2],
-    way_udeg: [i64; 2],
-    /// The longer of the two ways.
-    length_udeg: i64,
-    /// How much of the length lay behind when this profile began: not 0 for braking.
-    behind_udeg: i64,
-    profile: Profile,
+use rigel_protocol::Axis;
+
+/// How fast an axis may be.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Pace {
+    /// Between two steps at full speed, microseconds.
+    pub interval_us: u64,
+    /// The inverse of the acceleration, square microseconds per step.
+    pub rise_us2: u64,
 }
 
-impl Motion {
-    /// The move between two positions (pan, tilt), from standstill to standstill.
-    pub fn new(from_udeg: [i64; 2], to_udeg: [i64; 2], speed_udeg_s: i64, acceleration_udeg_s2: i64) -> Self {
-        let way_udeg = [to_udeg[0] - from_udeg[0], to_udeg[1] - from_udeg[1]];
-        let length_udeg = way_udeg[0].abs().max(way_udeg[1].abs());
-        let profile = Profile::new(length_udeg, speed_udeg_s, acceleration_udeg_s2);
-        Self { from_udeg, way_udeg, length_udeg, behind_udeg: 0, profile }
-    }
-
-    /// The move that brakes to a standstill on the way of this one, `time_us` after its start.
-    pub fn brake(&self, time_us: i64, acceleration_udeg_s2: i64) -> Self {
-        let behind_udeg = self.behind_udeg + self.profile.distance_at(time_us);
-        let profile = Profile::brake(self.profile.speed_at(time_us), acceleration_udeg_s2);
-        Self { behind_udeg, profile, ..*self }
-    }
-
-    /// How long it takes, microseconds.
-    pub fn duration_us(&self) -> i64 {
-        self.profile.duration_us()
-    }
-
-    /// The position (pan, tilt) `time_us` after the start.
-    pub fn position_udeg(&self, time_us: i64) -> [i64; 2] {
-        if self.length_udeg == 0 {
-            return self.from_udeg;
+impl Pace {
+    /// The pace of an axis; `None` where a speed or an acceleration is 0.
+    pub const fn new(speed_mdeg_s: u32, acceleration_mdeg_s2: u32, steps_per_turn: u32) -> Option<Self> {
+        let speed = speed_mdeg_s as u64 * steps_per_turn as u64;
+        let acceleration = acceleration_mdeg_s2 as u64 * steps_per_turn as u64;
+        if speed == 0 || acceleration == 0 {
+            return None;
         }
-        let done = (self.behind_udeg + self.profile.distance_at(time_us)).min(self.length_udeg);
-        [0, 1].map(|axis| self.from_udeg[axis] + self.way_udeg[axis] * done / self.length_udeg)
+        // 360 000 mdeg are a turn; 1e6 us are a second.
+        let interval_us = 360_000_000_000_u64.div_ceil(speed);
+        let rise_us2 = 360_000_000_000_000_000_u64.div_ceil(acceleration);
+        Some(Self { interval_us, rise_us2 })
+    }
+
+    /// The steps from full speed to standstill, rounded up from half a step behind the last edge.
+    pub const fn braking_steps(&self) -> u64 {
+        let square = self.interval_us * self.interval_us;
+        (self.rise_us2 + square).div_ceil(2 * square)
     }
 }
 
-/// Distance over time: speed rises, holds and falls in straight lines.
+/// The times of the leading axis' steps.
 #[derive(Debug, Clone, Copy)]
 struct Profile {
-    distance_udeg: i64,
-    speed_udeg_s: i64,
-    rise_us: i64,
-    hold_us: i64,
-    fall_us: i64,
+    steps: u32,
+    pace: Pace,
+    /// So many steps from either end, the speed is full.
+    ramp_steps: u64,
+    /// Step i at full speed is due at `i * interval_us + offset_us`.
+    offset_us: i64,
+    /// When standstill is reached.
+    end_us: u64,
 }
 
 impl Profile {
-    fn new(distance_udeg: i64, speed_udeg_s: i64, acceleration_udeg_s2: i64) -> Self {
-        // A short way ends before full speed is reached: the highest speed there is sqrt(distance x acceleration).
-        let speed_udeg_s = speed_udeg_s.min((distance_udeg * acceleration_udeg_s2).isqrt());
-        if speed_udeg_s == 0 {
-            return Self { distance_udeg, speed_udeg_s, rise_us: 0, hold_us: 0, fall_us: 0 };
-        }
-        let rise_us = speed_udeg_s * 1_000_000 / acceleration_udeg_s2;
-        let held_udeg = distance_udeg - 2 * ramp(speed_udeg_s, rise_us, rise_us);
-        let hold_us = (held_udeg * 1_000_000).div_euclid(speed_udeg_s) + 1;
-        Self { distance_udeg, speed_udeg_s, rise_us, hold_us, fall_us: rise_us }
-    }
-
-    fn brake(speed_udeg_s: i64, acceleration_udeg_s2: i64) -> Self {
-        let fall_us = speed_udeg_s * 1_000_000 / acceleration_udeg_s2;
-        let distance_udeg = ramp(speed_udeg_s, fall_us, fall_us);
-        Self { distance_udeg, speed_udeg_s, rise_us: 0, hold_us: 0, fall_us }
-    }
-
-    fn duration_us(&self) -> i64 {
-        self.rise_us + self.hold_us + self.fall_us
-    }
-
-    fn distance_at(&self, time_us: i64) -> i64 {
-        let left_us = self.duration_us() - time_us;
-        if left_us <= 0 {
-            self.distance_udeg
-        } else if left_us < self.fall_us {
-            self.distance_udeg - ramp(self.speed_udeg_s, self.fall_us, left_us)
-        } else if time_us < self.rise_us {
-            ramp(self.speed_udeg_s, self.rise_us, time_us.max(0))
-        } else {
-            let risen = ramp(self.speed_udeg_s, self.rise_us, self.rise_us);
-            let falling = ramp(self.speed_udeg_s, self.fall_us, self.fall_us);
-            let held = self.speed_udeg_s * (time_us - self.rise_us) / 1_000_000;
-            (risen + held).min(self.distance_udeg - falling)
-        }
-    }
-
-    fn speed_at(&self, time_us: i64) -> i64 {
-        let left_us = self.duration_us() - time_us;
-        if left_us <= 0 || time_us <= 0 && self.rise_us > 0 {
+    fn new(steps: u32, pace: Pace) -> Self {
+        let Pace { interval_us, rise_us2 } = pace;
+        let square = interval_us * interval_us;
+        let ramp_steps = (rise_us2 / square).div_ceil(2);
+        let offset_us = ceil_div(rise_us2 as i64 - square as i64, 2 * interval_us as i64);
+        let n = u64::from(steps);
+        let end_us = if n == 0 {
             0
-        } else if left_us < self.fall_us {
-            self.speed_udeg_s * left_us / self.fall_us
-        } else if time_us < self.rise_us {
-            self.speed_udeg_s * time_us / self.rise_us
+        } else if rise_us2.div_ceil(square) <= n {
+            ((n + 1) * interval_us).saturating_add_signed(2 * offset_us)
         } else {
-            self.speed_udeg_s
-        }
+            // Full speed is not reached. The two steps beside the middle keep their distance, too.
+            let middle_us = ceil_sqrt(n * rise_us2);
+            let beside_us = ceil_sqrt((n - 1) * rise_us2);
+            (2 * middle_us).max(if n.is_multiple_of(2) { 2 * beside_us + interval_us } else { 0 })
+        };
+        Self { steps, pace, ramp_steps, offset_us, end_us }
+    }
+
+    /// When a step (from 1) is due.
+    fn time_us(&self, step: u32) -> u64 {
+        let (from_start, from_end) = (u64::from(step), u64::from(self.steps + 1 - step));
+        let nearer = from_start.min(from_end);
+        let time_us = if nearer <= self.ramp_steps {
+            ceil_sqrt((2 * nearer - 1) * self.pace.rise_us2)
+        } else {
+            (nearer * self.pace.interval_us).saturating_add_signed(self.offset_us)
+        };
+        if from_start <= from_end { time_us } else { self.end_us - time_us }
+    }
+
+    /// The profile that brakes after `done` steps.
+    fn braked(&self, done: u32) -> Self {
+        // Without a step nothing moves yet. While the speed rises, it falls again over the same way.
+        let left = if done == 0 { 0 } else { (u64::from(done) + 1).min(self.pace.braking_steps()) };
+        Self::new(self.steps.min(done.saturating_add(left as u32)), self.pace)
     }
 }
 
-/// The distance gone `time_us` after standstill while the speed rises to `speed_udeg_s` within `ramp_us`.
-fn ramp(speed_udeg_s: i64, ramp_us: i64, time_us: i64) -> i64 {
-    if ramp_us == 0 {
-        return 0;
+/// One move of both axes (pan, tilt), as steps and the times at which they are due, counted from its start.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Motion {
+    /// The direction of each axis: -1, 0 or 1.
+    direction: [i32; 2],
+    lead: Axis,
+    profile: Profile,
+    done: u32,
+    /// The whole way of the leader and of the follower, also when it is cut short.
+    whole: u32,
+    follower: u32,
+    /// Bresenham's rest, below `whole`.
+    rest: u32,
+}
+
+impl Motion {
+    /// A move that goes nowhere and is over.
+    pub const NONE: Self = Self {
+        direction: [0; 2],
+        lead: Axis::Pan,
+        profile: Profile {
+            steps: 0,
+            pace: Pace { interval_us: 1, rise_us2: 1 },
+            ramp_steps: 0,
+            offset_us: 0,
+            end_us: 0,
+        },
+        done: 0,
+        whole: 0,
+        follower: 0,
+        rest: 0,
+    };
+
+    /// The move by so many steps.
+    pub fn new(way: [i32; 2], paces: [Pace; 2]) -> Self {
+        let [pan, tilt] = way.map(i32::unsigned_abs);
+        let [pan_pace, tilt_pace] = paces;
+        let (lead, whole, follower, own, other) = if pan >= tilt {
+            (Axis::Pan, pan, tilt, pan_pace, tilt_pace)
+        } else {
+            (Axis::Tilt, tilt, pan, tilt_pace, pan_pace)
+        };
+        let mut pace = own;
+        // The follower's steps are at least `ratio` of the leader's apart, and its acceleration is in proportion.
+        if let Some(ratio) = whole.checked_div(follower) {
+            let rise_us2 = (other.rise_us2 * u64::from(follower)).div_ceil(u64::from(whole));
+            pace.rise_us2 = pace.rise_us2.max(rise_us2);
+            pace.interval_us = pace.interval_us.max(other.interval_us.div_ceil(u64::from(ratio)));
+        }
+        let profile = Profile::new(whole, pace);
+        Self { direction: way.map(i32::signum), lead, profile, done: 0, whole, follower, rest: 0 }
     }
-    speed_udeg_s * time_us / ramp_us * time_us / 2_000_000
+
+    /// The direction of each axis: -1, 0 or 1.
+    pub fn direction(&self) -> [i32; 2] {
+        self.direction
+    }
+
+    /// Whether every step is done.
+    pub fn is_done(&self) -> bool {
+        self.done >= self.profile.steps
+    }
+
+    /// When the next step is due or, after the last, when standstill is reached.
+    pub fn next_us(&self) -> u64 {
+        if self.is_done() { self.profile.end_us } else { self.profile.time_us(self.done + 1) }
+    }
+
+    /// When standstill is reached.
+    pub fn end_us(&self) -> u64 {
+        self.profile.end_us
+    }
+
+    /// The smallest time between two steps.
+    pub fn interval_us(&self) -> u64 {
+        self.profile.pace.interval_us
+    }
+
+    /// Does the next step: by how much each axis steps, -1, 0 or 1.
+    pub fn step(&mut self) -> [i32; 2] {
+        if self.is_done() {
+            return [0; 2];
+        }
+        self.done += 1;
+        self.rest += self.follower;
+        let follows = self.rest >= self.whole;
+        if follows {
+            self.rest -= self.whole;
+        }
+        let [pan, tilt] = self.direction;
+        match (self.lead, follows) {
+            (_, true) => [pan, tilt],
+            (Axis::Pan, false) => [pan, 0],
+            (Axis::Tilt, false) => [0, tilt],
+        }
+    }
+
+    /// Cuts the move short: from here on it brakes.
+    pub fn brake(&mut self) {
+        self.profile = self.profile.braked(self.done);
+    }
+}
+
+fn ceil_sqrt(square: u64) -> u64 {
+    let root = square.isqrt();
+    root + u64::from(root * root < square)
+}
+
+fn ceil_div(a: i64, b: i64) -> i64 {
+    -(-a).div_euclid(b)
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    const DEGREE: i64 = 1_000_000;
-
-    /// A motion, where it starts and ends, its speed and its acceleration.
-    type Case = (Motion, [i64; 2], [i64; 2], i64, i64);
-
-    /// Moves of every size, at the ordinary and at the most extreme speeds that are allowed.
-    fn motions() -> Vec<Case> {
-        let mut all = Vec::new();
-        for (speed, acceleration) in
-            [(60 * DEGREE, 120 * DEGREE), (1_000, 1_000), (1_000 * DEGREE, 5_000 * DEGREE)]
-        {
-            for (pan, tilt) in
-                [(0, 0), (1_000, 0), (0, -7_000), (-DEGREE, 333_000), (90 * DEGREE, -45 * DEGREE)]
-            {
-                for scale in [1, 8] {
-                    let (from, to) = ([-pan, 5_000], [pan * scale, tilt * scale]);
-                    all.push((Motion::new(from, to, speed, acceleration), from, to, speed, acceleration));
-                }
-            }
-        }
-        all
-    }
-
-    #[test]
-    fn it_starts_at_the_start_and_arrives_exactly() {
-        for (motion, from, to, ..) in motions() {
-            assert_eq!(motion.position_udeg(0), from);
-            assert_eq!(motion.position_udeg(motion.duration_us()), to);
-            assert_eq!(motion.position_udeg(i64::MAX / 4), to);
-        }
-    }
-
-    #[test]
-    fn speed_and_acceleration_stay_within_their_limits_and_nothing_turns_back() {
-        for (motion, from, to, speed, acceleration) in motions() {
-            let (steps, duration) = (1_000, motion.duration_us());
-            let step_us = (duration / steps).max(1);
-            let mut before = (from, 0);
-            for step in 1..=steps + 1 {
-                let at = motion.position_udeg(step * step_us);
-                let moved = [0, 1].map(|axis| (at[axis] - before.0[axis]) * (to[axis] - from[axis]).signum());
-                assert!(moved.iter().all(|&m| m >= 0), "turned back");
-                // A position is whole microdegrees: what that rounding alone can do to a difference is allowed.
-                let way = moved[0].max(moved[1]);
-                assert!(way <= speed * step_us / 1_000_000 + 3, "{way} in {step_us} us at {speed}");
-                // The changes between rise, hold and fall fall on whole microseconds: one of them is allowed, too.
-                let change = i128::from(acceleration) * i128::from(step_us).pow(2) / 1_000_000_000_000
-                    + i128::from(way.max(before.1) / step_us);
-                let changed = i128::from((way - before.1).abs());
-                assert!(changed <= change + change / 1_000 + 8, "{changed} instead of {change}");
-                before = (at, way);
-            }
-        }
-    }
-
-    #[test]
-    fn both_axes_arrive_together() {
-        let motion = Motion::new([0, 0], [90 * DEGREE, -30 * DEGREE], 60 * DEGREE, 120 * DEGREE);
-        for i in 0..=100 {
-            let [pan, tilt] = motion.position_udeg(motion.duration_us() * i / 100);
-            assert!((pan + 3 * tilt).abs() <= 3);
-        }
-    }
-
-    #[test]
-    fn the_duration_is_that_of_a_trapezoid_or_a_triangle() {
-        // 90 degrees at 60/s and 120/s²: half a second up, half a second down, a second at full speed between.
-        let long = Motion::new([0, 0], [90 * DEGREE, 0], 60 * DEGREE, 120 * DEGREE);
-        assert!((long.duration_us() - 2_000_000).abs() <= 2);
-        // 1.2 degrees: full speed is never reached, 2 sqrt(1.2 / 120) seconds.
-        let short = Motion::new([0, 0], [1_200_000, 0], 60 * DEGREE, 120 * DEGREE);
-        assert!((short.duration_us() - 200_000).abs() <= 2);
-    }
-
-    #[test]
-    fn braking_is_smooth_and_never_goes_beyond_the_goal() {
-        for (motion, from, to, speed, acceleration) in motions() {
-            for i in 0..=50 {
-                let time = motion.duration_us() * i / 50;
-                let brake = motion.brake(time, acceleration);
-                assert_eq!(brake.position_udeg(0), motion.position_udeg(time));
-                let end = brake.position_udeg(brake.duration_us());
-                for axis in 0..2 {
-                    let (low, high) = (from[axis].min(to[axis]), from[axis].max(to[axis]));
-                    assert!((low..=high).contains(&end[axis]));
-                }
-                let soon = brake.position_udeg(1_000);
-                let jump = (soon[0] - motion.position_udeg(time)[0]).abs();
-                assert!(jump <= speed / 1_000 + 2);
-                assert!(brake.duration_us() <= speed * 1_000_000 / acceleration + 1);
-                assert_eq!(brake.brake(brake.duration_us(), acceleration).duration_us(), 0);
-            }
-        }
-    }
-}
+mod tests;

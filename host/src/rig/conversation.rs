@@ -1,7 +1,7 @@
 //! The conversation with the rig at the other end of a serial port (or of a pseudo-terminal, where it is simulated).
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use rigel_protocol::{Answer, Command, Fault, Limits, Reply, SCHEMA, State, Status, VERSION};
 
@@ -13,6 +13,9 @@ use crate::{Error, Result};
 const SILENCE: Duration = Duration::from_millis(200);
 /// How much later than announced a move may end.
 const PATIENCE: Duration = Duration::from_secs(3);
+
+/// No rig has coarser steps than a tenth of a degree; it goes to the step nearest to an angle.
+const LARGEST_STEP_MDEG: u32 = 100;
 
 /// The rig on a serial port: homed, in conversation, and asked one thing at a time.
 pub struct SerialRig {
@@ -31,7 +34,7 @@ impl SerialRig {
     pub fn open(port_name: &str) -> Result<Self> {
         let mut line = Line::open(port_name)?;
         // A hello of another version or schema never gets here: the line refuses it.
-        let hello = match line.ask(Command::Hello { version: VERSION, schema: SCHEMA, conversation: 0 })? {
+        let hello = match line.ask(Command::Hello { version: VERSION, schema: SCHEMA, conversation: conversation() })? {
             Reply::Hello(hello) => hello,
             reply => return Err(confused(&line.name, &reply)),
         };
@@ -101,13 +104,18 @@ impl SerialRig {
                     Reply::Status(Status { state: State::Still, pan_mdeg, tilt_mdeg, .. }) => {
                         [pan_mdeg, tilt_mdeg]
                     }
-                    Reply::Status(Status { state: State::Moving | State::Settling, .. })
-                        if Instant::now() < deadline =>
+                    // Stopped on its way to the switches.
+                    Reply::Status(Status { state: State::Lost, pan_mdeg, tilt_mdeg, .. }) if goal.is_none() => {
+                        [pan_mdeg, tilt_mdeg]
+                    }
+                    Reply::Status(Status {
+                        state: State::Homing | State::Moving | State::Braking | State::Settling, ..
+                    }) if Instant::now() < deadline =>
                     {
                         continue;
                     }
                     Reply::Status(Status {
-                        state: State::Moving | State::Settling,
+                        state: State::Homing | State::Moving | State::Braking | State::Settling,
                         pan_mdeg,
                         tilt_mdeg,
                         ..
@@ -128,7 +136,7 @@ impl SerialRig {
                 },
             };
             return match goal {
-                Some(goal) if goal != at => Err(self.error(
+                Some(goal) if (0..2).any(|i| goal[i].abs_diff(at[i]) > LARGEST_STEP_MDEG / 2) => Err(self.error(
                     format!(
                         "the rig stopped at pan {}°, tilt {}° instead of pan {}°, tilt {}°",
                         degrees(at[0]),
@@ -216,6 +224,12 @@ pub(super) fn confused(name: &str, reply: &Reply) -> Error {
         what: format!("the rig answered something else than was asked: {reply:?}"),
         remedy: "report this as a defect of its firmware".into(),
     }
+}
+
+/// A number that no other host has: taken from the clock.
+fn conversation() -> u32 {
+    let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    (now.as_micros() as u32) ^ std::process::id().rotate_left(16)
 }
 
 const RAD_PER_MDEG: f64 = std::f64::consts::PI / 180_000.0;

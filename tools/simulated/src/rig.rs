@@ -1,36 +1,41 @@
 //! A rig that is not there: the firmware's own core behind a pseudo-terminal, with a known true position.
 
-use std::io::{ErrorKind, Read, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
 
-use rigel_firmware_core::Controller;
-use rigel_protocol::{Answer, Decoder, LARGEST_FRAME, Limits, Reply, State, encode, frame};
-use serialport::{SerialPort, TTYPort};
+use rigel_protocol::{Axis, Limits, State};
+use serialport::SerialPort;
 
-const RAD_PER_UDEG: f64 = std::f64::consts::PI / 180e6;
+use board::Board;
+use wire::Wire;
 
-/// How often the simulated board looks at its line and its clock.
-const ROUND: Duration = Duration::from_millis(1);
+mod board;
+mod wire;
+
+pub use board::mechanics;
 
 /// What kind of rig is simulated.
 #[derive(Debug, Clone)]
 pub struct RigOptions {
-    /// What the rig says that it can do.
+    /// What the rig says that it can do; see [`mechanics`] for what else it is made of.
     pub limits: Limits,
     /// How much faster than a real clock its own runs: a move that it announces as 2 s takes 2 s / `speed_factor`.
     pub speed_factor: f64,
     /// The largest difference between where the rig believes to be and where it is, per axis, radians: mounts are never
     /// square. A third of a degree is 0.005.
     pub mount_error_rad: f64,
+    /// A limit switch that is always pressed.
+    pub stuck_switch: Option<Axis>,
+    /// Whether the camera's flash-sync is wired; it comes as the contact closes.
+    pub flash_sync: bool,
     /// What goes wrong on the line.
     pub faults: Faults,
 }
 
 impl Default for RigOptions {
-    /// Pan ±180°, tilt -10° to 90°, 60°/s, 120°/s², 0.3 s to settle, in real time, perfectly mounted, without faults.
+    /// Pan ±180°, tilt -10° to 90°, 60°/s, 120°/s², 0.3 s to settle, in real time, perfectly mounted, with a flash-sync,
+    /// without faults.
     fn default() -> Self {
         let limits = Limits {
             pan_min_mdeg: -180_000,
@@ -42,7 +47,14 @@ impl Default for RigOptions {
             acceleration_mdeg_s2: 120_000,
             settle_ms: 300,
         };
-        Self { limits, speed_factor: 1.0, mount_error_rad: 0.0, faults: Faults::default() }
+        Self {
+            limits,
+            speed_factor: 1.0,
+            mount_error_rad: 0.0,
+            stuck_switch: None,
+            flash_sync: true,
+            faults: Faults::default(),
+        }
     }
 }
 
@@ -53,6 +65,14 @@ pub struct Faults {
     pub drop_every: u32,
     /// Every n-th frame has one wrong bit.
     pub corrupt_every: u32,
+    /// Every n-th frame comes twice.
+    pub duplicate_every: u32,
+    /// Every n-th frame is overtaken by the next one of its direction.
+    pub reorder_every: u32,
+    /// Every answer comes so much later, real milliseconds.
+    pub delay_ms: u32,
+    /// After so many frames neither side hears the other.
+    pub silent_after: Option<u32>,
     /// After so many frames the rig is unplugged.
     pub unplug_after: Option<u32>,
     /// The rig says hello with this protocol version.
@@ -70,23 +90,53 @@ pub struct TruePosition {
     pub moving: bool,
 }
 
+/// When the shutter's contact was closed, by the rig's clock.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Photograph {
+    /// When it closed, microseconds.
+    pub closed_us: u64,
+    /// When it opened, microseconds.
+    pub opened_us: u64,
+}
+
 /// Tells where the surface truly is at the moment of asking, for instance to a simulated camera. Cheap to clone.
 #[derive(Clone)]
-pub struct RigPosition(Arc<Mutex<Board>>);
+pub struct RigPosition {
+    board: Arc<Mutex<Board>>,
+    mount_error_rad: f64,
+}
 
 impl RigPosition {
     /// The true position now.
     pub fn now(&self) -> TruePosition {
-        let board = lock(&self.0);
-        let now_us = board.now_us();
-        let [pan_rad, tilt_rad] =
-            board.controller.position_udeg(now_us).map(|udeg| udeg as f64 * RAD_PER_UDEG);
-        let [pan_error_rad, tilt_error_rad] = mount_error(pan_rad, tilt_rad, board.mount_error_rad);
+        let mut board = lock(&self.board);
+        board.catch_up();
+        let [pan_rad, tilt_rad] = board.surface_rad();
+        let [pan_error_rad, tilt_error_rad] = mount_error(pan_rad, tilt_rad, self.mount_error_rad);
         TruePosition {
             pan_rad: pan_rad + pan_error_rad,
             tilt_rad: tilt_rad + tilt_error_rad,
-            moving: matches!(board.controller.state(now_us), State::Moving | State::Settling),
+            moving: matches!(board.state(), State::Homing | State::Moving | State::Braking | State::Settling),
         }
+    }
+
+    /// What the rig is doing.
+    pub fn state(&self) -> State {
+        let mut board = lock(&self.board);
+        board.catch_up();
+        board.state()
+    }
+
+    /// Every photograph whose contact has closed and opened.
+    pub fn photographs(&self) -> Vec<Photograph> {
+        let mut board = lock(&self.board);
+        board.catch_up();
+        board.photographs()
+    }
+
+    /// Turns the axes by so many steps past their motors: the rig does not notice before it homes again.
+    pub fn slip(&self, steps: [i64; 2]) {
+        lock(&self.board).slip(steps);
     }
 }
 
@@ -94,6 +144,8 @@ impl RigPosition {
 pub struct SimulatedRig {
     port_name: String,
     board: Arc<Mutex<Board>>,
+    mount_error_rad: f64,
+    faults: Faults,
     unplug: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
@@ -102,10 +154,10 @@ impl SimulatedRig {
     /// Starts a rig behind a new pseudo-terminal.
     ///
     /// # Errors
-    /// When the limits are not those of a rig (see [`Controller::new`]), the speed factor is not positive, or the
-    /// operating system gives no pseudo-terminal.
+    /// When the limits are not those of a rig (see [`rigel_firmware_core::Controller::new`]), the speed factor is not
+    /// positive, or the operating system gives no pseudo-terminal.
     pub fn start(options: RigOptions) -> rigel::Result<Self> {
-        let controller = Controller::new("simulated rig", options.limits).ok_or_else(|| {
+        let board = Board::new(&options).ok_or_else(|| {
             rigel::Error::request(
                 format!("no rig can have the limits {:?}", options.limits),
                 "include 0 in both ranges and choose a speed and an acceleration above 0",
@@ -117,30 +169,16 @@ impl SimulatedRig {
                 "choose a factor above 0",
             ));
         }
-        let (line, far_end) = open_line().map_err(|e| rigel::Error::Device {
-            device: "simulated rig".into(),
-            what: format!("no pseudo-terminal can be had: {e}"),
-            remedy: "mount /dev/pts or simulate on another machine".into(),
-        })?;
-        let port_name = far_end.name().unwrap_or_default();
-        let board = Arc::new(Mutex::new(Board {
-            controller,
-            switched_on: Instant::now(),
-            speed_factor: options.speed_factor,
+        let mut rig = Self {
+            port_name: String::new(),
+            board: Arc::new(Mutex::new(board)),
             mount_error_rad: options.mount_error_rad,
-        }));
-        let unplug = Arc::new(AtomicBool::new(false));
-        let thread = {
-            let (board, unplug, faults) = (board.clone(), unplug.clone(), options.faults);
-            std::thread::spawn(move || {
-                // While this end stays open the line survives a host that comes and goes.
-                let _far_end = far_end;
-                let mut wire = Wire { line, faults, frames: 0 };
-                // An error here is the line's end, like an unplugged cable.
-                let _ = serve(&board, &mut wire, &unplug);
-            })
+            faults: options.faults,
+            unplug: Arc::default(),
+            thread: None,
         };
-        Ok(Self { port_name, board, unplug, thread: Some(thread) })
+        rig.plug_in(options.faults)?;
+        Ok(rig)
     }
 
     /// The name of the port at which a host finds the rig.
@@ -150,15 +188,55 @@ impl SimulatedRig {
 
     /// A handle that tells the true position, also after the rig was unplugged.
     pub fn position(&self) -> RigPosition {
-        RigPosition(self.board.clone())
+        RigPosition { board: self.board.clone(), mount_error_rad: self.mount_error_rad }
     }
 
-    /// Pulls the cable; returns once it is out.
+    /// Pulls the cable; returns once it is out. The rig itself goes on, and nobody hears it.
     pub fn unplug(&mut self) {
         self.unplug.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
+    }
+
+    /// Pulls the cable, if it is in, and plugs it in again: the port has a new name, which is returned. The rig knows
+    /// everything that it knew, and its faults but `unplug_after` and `silent_after` go on.
+    ///
+    /// # Errors
+    /// When the operating system gives no pseudo-terminal.
+    pub fn replug(&mut self) -> rigel::Result<&str> {
+        self.unplug();
+        {
+            let mut board = lock(&self.board);
+            board.catch_up();
+            board.said.clear();
+        }
+        self.plug_in(Faults { unplug_after: None, silent_after: None, ..self.faults })?;
+        Ok(&self.port_name)
+    }
+
+    fn plug_in(&mut self, faults: Faults) -> rigel::Result<()> {
+        let no_line = |e: serialport::Error| rigel::Error::Device {
+            device: "simulated rig".into(),
+            what: format!("no pseudo-terminal can be had: {e}"),
+            remedy: "mount /dev/pts or simulate on another machine".into(),
+        };
+        let mut ends = wire::open_line().map_err(no_line)?;
+        if ends.1.name().as_ref() == Some(&self.port_name) {
+            // While the first is open, the second has another name.
+            ends = wire::open_line().map_err(no_line)?;
+        }
+        let (line, far_end) = ends;
+        self.port_name = far_end.name().unwrap_or_default();
+        self.unplug = Arc::default();
+        let (board, unplug) = (self.board.clone(), self.unplug.clone());
+        self.thread = Some(std::thread::spawn(move || {
+            // While this end stays open the line survives a host that comes and goes.
+            let _far_end = far_end;
+            // An error here is the line's end, like an unplugged cable.
+            let _ = Wire::new(line, faults).serve(&board, &unplug);
+        }));
+        Ok(())
     }
 }
 
@@ -166,117 +244,6 @@ impl Drop for SimulatedRig {
     fn drop(&mut self) {
         self.unplug();
     }
-}
-
-/// The board: the firmware's core and its clock.
-struct Board {
-    controller: Controller,
-    switched_on: Instant,
-    speed_factor: f64,
-    mount_error_rad: f64,
-}
-
-impl Board {
-    fn now_us(&self) -> u64 {
-        (self.switched_on.elapsed().as_secs_f64() * self.speed_factor * 1e6) as u64
-    }
-}
-
-/// The cable, with its faults.
-struct Wire {
-    line: TTYPort,
-    faults: Faults,
-    frames: u32,
-}
-
-impl Wire {
-    /// Counts a frame; tells which bit of it to spoil, or that it is lost.
-    fn fate(&mut self) -> Fate {
-        self.frames += 1;
-        let every = |n: u32, frames: u32| n > 0 && frames.is_multiple_of(n);
-        if self.faults.unplug_after.is_some_and(|last| self.frames > last) {
-            Fate::Unplugged
-        } else if every(self.faults.drop_every, self.frames) {
-            Fate::Lost
-        } else if every(self.faults.corrupt_every, self.frames) {
-            Fate::Spoilt
-        } else {
-            Fate::Whole
-        }
-    }
-
-    fn send(&mut self, mut answer: Answer) -> std::io::Result<()> {
-        if let (Reply::Hello(hello), Some(version)) = (&mut answer.reply, self.faults.version) {
-            hello.version = version;
-        }
-        let mut buffer = [0; LARGEST_FRAME];
-        let mut bytes = encode(&answer, &mut buffer).map_err(std::io::Error::other)?.to_vec();
-        match self.fate() {
-            Fate::Unplugged => return Err(ErrorKind::BrokenPipe.into()),
-            Fate::Lost => return Ok(()),
-            Fate::Spoilt => {
-                let bit = self.frames as usize * 7 % (bytes.len() * 8);
-                bytes[bit / 8] ^= 1 << (bit % 8);
-            }
-            Fate::Whole => {}
-        }
-        match self.line.write_all(&bytes) {
-            // Nobody reads: what does not fit is lost, as on a real line.
-            Err(e) if e.kind() == ErrorKind::TimedOut => Ok(()),
-            outcome => outcome,
-        }
-    }
-}
-
-enum Fate {
-    Whole,
-    Lost,
-    Spoilt,
-    Unplugged,
-}
-
-fn open_line() -> serialport::Result<(TTYPort, TTYPort)> {
-    let (mut line, far_end) = TTYPort::pair()?;
-    line.set_timeout(ROUND)?;
-    Ok((line, far_end))
-}
-
-/// The board's loop: what a real board does between its interrupts.
-fn serve(board: &Mutex<Board>, wire: &mut Wire, unplug: &AtomicBool) -> std::io::Result<()> {
-    let mut decoder = Decoder::new();
-    let mut buffer = [0; 256];
-    while !unplug.load(Ordering::Relaxed) {
-        let count = match wire.line.read(&mut buffer) {
-            Ok(count) => count,
-            Err(e) if matches!(e.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted) => 0,
-            Err(e) => return Err(e),
-        };
-        for &byte in &buffer[..count] {
-            let Some(Ok(payload)) = decoder.push(byte) else { continue };
-            let Ok(request) = frame::decode(payload) else { continue };
-            match wire.fate() {
-                Fate::Unplugged => return Err(ErrorKind::BrokenPipe.into()),
-                // The board hears nothing of a spoilt request: its checksum is wrong.
-                Fate::Lost | Fate::Spoilt => continue,
-                Fate::Whole => {}
-            }
-            let answer = {
-                let mut board = lock(board);
-                let now_us = board.now_us();
-                board.controller.handle(request, now_us)
-            };
-            wire.send(answer)?;
-        }
-        let event = {
-            let mut board = lock(board);
-            let now_us = board.now_us();
-            board.controller.tick(now_us)
-        };
-        if let Some(event) = event {
-            wire.send(event)?;
-        }
-    }
-    Ok(())
 }
 
 /// A panic elsewhere leaves nothing half done in here: every change of the board is one call.
