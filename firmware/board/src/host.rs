@@ -5,11 +5,11 @@ use embassy_stm32::usart::{BufferedUartRx, BufferedUartTx};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::channel::Channel;
 use embedded_io_async::{Read, Write};
-use rigel_protocol::{Answer, Decoder, LARGEST_FRAME, Request, encode, frame};
+use rigel_protocol::{Answer, Decoder, LARGEST_FRAME, encode, frame};
 
-/// What was heard: a request, or that a frame was damaged.
-pub static HEARD: Channel<CriticalSectionRawMutex, Option<Request>, 4> = Channel::new();
-/// What is to be said. It never fills while the line runs: an event that finds no room is lost, and can be asked for.
+use crate::motion::{HEARD, Heard};
+
+/// What is to be said. An answer that finds no room is lost; the host asks again.
 pub static ANSWERS: Channel<CriticalSectionRawMutex, Answer, 8> = Channel::new();
 /// The tracker's records, which wait while there are answers.
 pub static RECORDS: Channel<CriticalSectionRawMutex, Answer, 8> = Channel::new();
@@ -23,8 +23,8 @@ pub async fn hear(mut line: BufferedUartRx<'static>) -> ! {
         // An error is noise on the line: the frame's checksum tells.
         let count = line.read(&mut bytes).await.unwrap_or(0);
         for &byte in &bytes[..count] {
-            if let Some(heard) = decoder.push(byte) {
-                HEARD.send(heard.and_then(frame::decode).ok()).await;
+            if let Some(frame) = decoder.push(byte) {
+                HEARD.send(frame.and_then(frame::decode).map_or(Heard::Noise, Heard::Request)).await;
             }
         }
     }
@@ -38,7 +38,7 @@ pub async fn say(mut line: BufferedUartTx<'static>) -> ! {
         let (Either::First(answer) | Either::Second(answer)) =
             select(ANSWERS.receive(), RECORDS.receive()).await;
         if let Ok(frame) = encode(&answer, &mut buffer) {
-            // The line has no error that it could tell.
+            // There is no error that this line could tell.
             let _ = line.write_all(frame).await;
         }
     }

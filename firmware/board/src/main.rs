@@ -15,6 +15,7 @@ mod last_words;
 mod motion;
 mod pins;
 mod rig;
+mod tracker;
 
 use core::sync::atomic::Ordering;
 
@@ -87,17 +88,15 @@ fn main() -> ! {
     let host = BufferedUart::new(chip.USART1, chip.PA10, chip.PA9, sent, received, Interrupts, config)
         .expect("115200 baud fit the clock");
     let (sent, received) = TRACKER.init(([0; 64], [0; 1024]));
-    let _tracker = BufferedUart::new(chip.USART2, chip.PA3, chip.PA2, sent, received, Interrupts, config)
+    let tracker = BufferedUart::new(chip.USART2, chip.PA3, chip.PA2, sent, received, Interrupts, config)
         .expect("115200 baud fit the clock");
-    let (say, hear) = host.split();
 
-    let controller = Controller::new(rig::NAME, rig::LIMITS).expect("the rig's constants are possible");
+    let controller = Controller::new(rig::NAME, rig::MECHANICS, restart).expect("the rig is possible");
     interrupt::USART1.set_priority(Priority::P2);
     interrupt::USART2.set_priority(Priority::P2);
     interrupt::EXTI15_10.set_priority(Priority::P3);
     interrupt::UART4.set_priority(Priority::P4);
     interrupt::UART5.set_priority(Priority::P8);
-    let _ = restart;
 
     #[cfg(feature = "emulator")]
     let wires = emulator::rig::Rig::new(wires);
@@ -105,8 +104,11 @@ fn main() -> ! {
     urgent.spawn(motion(controller, wires, last_words).expect("one such task"));
     urgent.spawn(hear_flash_sync(flash_sync).expect("one such task"));
     let patient = PATIENT.start(interrupt::UART5);
+    let (say, hear) = host.split();
     patient.spawn(host::hear(hear).expect("one such task"));
     patient.spawn(host::say(say).expect("one such task"));
+    let (say, hear) = tracker.split();
+    patient.spawn(tracker::run(say, hear).expect("one such task"));
     patient.spawn(feed_watchdog(IndependentWatchdog::new(chip.IWDG, WATCHDOG_US)).expect("one such task"));
     loop {
         cortex_m::asm::wfi();
