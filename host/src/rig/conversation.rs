@@ -34,7 +34,11 @@ impl SerialRig {
     pub fn open(port_name: &str) -> Result<Self> {
         let mut line = Line::open(port_name)?;
         // A hello of another version or schema never gets here: the line refuses it.
-        let hello = match line.ask(Command::Hello { version: VERSION, schema: SCHEMA, conversation: conversation() })? {
+        let hello = match line.ask(Command::Hello {
+            version: VERSION,
+            schema: SCHEMA,
+            conversation: conversation(),
+        })? {
             Reply::Hello(hello) => hello,
             reply => return Err(confused(&line.name, &reply)),
         };
@@ -105,13 +109,15 @@ impl SerialRig {
                         [pan_mdeg, tilt_mdeg]
                     }
                     // Stopped on its way to the switches.
-                    Reply::Status(Status { state: State::Lost, pan_mdeg, tilt_mdeg, .. }) if goal.is_none() => {
+                    Reply::Status(Status { state: State::Lost, pan_mdeg, tilt_mdeg, .. })
+                        if goal.is_none() =>
+                    {
                         [pan_mdeg, tilt_mdeg]
                     }
                     Reply::Status(Status {
-                        state: State::Homing | State::Moving | State::Braking | State::Settling, ..
-                    }) if Instant::now() < deadline =>
-                    {
+                        state: State::Homing | State::Moving | State::Braking | State::Settling,
+                        ..
+                    }) if Instant::now() < deadline => {
                         continue;
                     }
                     Reply::Status(Status {
@@ -136,16 +142,17 @@ impl SerialRig {
                 },
             };
             return match goal {
-                Some(goal) if (0..2).any(|i| goal[i].abs_diff(at[i]) > LARGEST_STEP_MDEG / 2) => Err(self.error(
-                    format!(
-                        "the rig stopped at pan {}°, tilt {}° instead of pan {}°, tilt {}°",
-                        degrees(at[0]),
-                        degrees(at[1]),
-                        degrees(goal[0]),
-                        degrees(goal[1])
-                    ),
-                    "see what stopped it, then start again",
-                )),
+                Some(goal) if (0..2).any(|i| goal[i].abs_diff(at[i]) > LARGEST_STEP_MDEG / 2) => Err(self
+                    .error(
+                        format!(
+                            "the rig stopped at pan {}°, tilt {}° instead of pan {}°, tilt {}°",
+                            degrees(at[0]),
+                            degrees(at[1]),
+                            degrees(goal[0]),
+                            degrees(goal[1])
+                        ),
+                        "see what stopped it, then start again",
+                    )),
                 _ => {
                     Ok(Reached { pan_rad: rad(at[0]), tilt_rad: rad(at[1]), settle_s: self.limits.settle_s })
                 }
