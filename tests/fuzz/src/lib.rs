@@ -38,7 +38,8 @@ fn round_trip<M: Serialize + DeserializeOwned + PartialEq + std::fmt::Debug>(pay
     let Ok(message) = frame::decode::<M>(payload) else { return };
     let mut buffer = [0; LARGEST_FRAME];
     let stream = encode(&message, &mut buffer).expect("what fitted into a frame fits again");
-    let again: Vec<M> = heard(stream).iter().map(|payload| frame::decode(payload).expect("said well")).collect();
+    let again: Vec<M> =
+        heard(stream).iter().map(|payload| frame::decode(payload).expect("said well")).collect();
     assert_eq!(again, [message]);
 }
 
@@ -46,11 +47,13 @@ fn round_trip<M: Serialize + DeserializeOwned + PartialEq + std::fmt::Debug>(pay
 fn expected(stream: &[u8]) -> Vec<Vec<u8>> {
     let Some(last) = stream.iter().rposition(|&byte| byte == 0) else { return vec![] };
     let frames = stream[..last].split(|&byte| byte == 0).filter(|frame| frame.len() <= LARGEST_FRAME);
-    frames.filter_map(|frame| {
-        let plain = unstuffed(frame)?;
-        let (payload, crc) = plain.split_last_chunk::<4>()?;
-        (crc32(payload) == u32::from_le_bytes(*crc)).then(|| payload.to_vec())
-    }).collect()
+    frames
+        .filter_map(|frame| {
+            let plain = unstuffed(frame)?;
+            let (payload, crc) = plain.split_last_chunk::<4>()?;
+            (crc32(payload) == u32::from_le_bytes(*crc)).then(|| payload.to_vec())
+        })
+        .collect()
 }
 
 /// COBS (Cheshire and Baker 1999), from its description.
