@@ -333,7 +333,7 @@ impl Controller {
 
     fn stepped(&mut self, now_us: u64) -> Option<Answer> {
         if let Activity::Homing(homing) = &mut self.activity {
-            homing.stepped(&mut self.drive);
+            homing.stepped(&mut self.drive, &self.mechanics);
             return None;
         }
         // Whoever brakes out of homing may still stand on a switch.

@@ -5,7 +5,7 @@ use crate::motion::{Motion, Pace};
 use crate::pins::Pins;
 
 /// So many readings in a row must agree before a switch counts as pressed: motors disturb wires.
-const READINGS: u8 = 3;
+pub(crate) const READINGS: u8 = 3;
 
 /// Where the motors are and the move that they are in.
 pub(crate) struct Drive {

@@ -3,7 +3,7 @@
 
 use rigel_protocol::{Axis, Halt};
 
-use crate::drive::Drive;
+use crate::drive::{Drive, READINGS};
 use crate::mechanics::{AXES, Mechanics};
 use crate::motion::Motion;
 use crate::pins::Pins;
@@ -59,10 +59,12 @@ impl Homing {
     }
 
     /// Looks at the switch after a step.
-    pub fn stepped(&mut self, drive: &mut Drive) {
+    pub fn stepped(&mut self, drive: &mut Drive, mechanics: &Mechanics) {
         let looks = matches!(self.phase, Phase::Seek | Phase::Approach) && self.edge.is_none();
         if looks && drive.is_pressed(self.axis) {
-            self.edge = Some(drive.position[self.axis as usize]);
+            // Felt for the first time so many steps ago.
+            let since = i32::from(READINGS) * mechanics.side(self.axis);
+            self.edge = Some(drive.position[self.axis as usize].wrapping_sub(since));
             drive.brake();
         }
     }

@@ -1,0 +1,1 @@
+//! A webcam of the operating system.
