@@ -1,5 +1,6 @@
 //! Finding the switches, one axis after the other: fast until the switch closes, back off, slowly until it closes
-//! again, back off for good. Backing off is a fixed way, at the end of which the switch must be open.
+//! again, back off for good. Backing off is a fixed way, at the end of which the switch must be open. Where the two
+//! places differ by more than a sixteenth of that way, something else than the switch was felt, and it is searched again.
 
 use rigel_protocol::{Axis, Halt};
 
@@ -15,6 +16,8 @@ pub(crate) struct Homing {
     phase: Phase,
     /// Where the switch of this phase closed.
     edge: Option<i32>,
+    /// Where it closed in the search.
+    found: i32,
     /// Where the switches were found by the old count, less where they should have been.
     pub off_steps: [i32; 2],
 }
@@ -40,7 +43,8 @@ pub(crate) enum Outcome {
 impl Homing {
     /// Begins with the pan.
     pub fn start(drive: &mut Drive, mechanics: &Mechanics, now_us: u64, pins: &mut impl Pins) -> Self {
-        let mut homing = Self { axis: Axis::Pan, phase: Phase::Seek, edge: None, off_steps: [0; 2] };
+        let mut homing =
+            Self { axis: Axis::Pan, phase: Phase::Seek, edge: None, found: 0, off_steps: [0; 2] };
         homing.begin_axis(Axis::Pan, drive, mechanics, now_us, pins);
         homing
     }
@@ -84,8 +88,16 @@ impl Homing {
             }
             (Phase::Seek | Phase::Approach, None) => return Outcome::Halt(Halt::NoSwitch(axis)),
             (Phase::Leave, _) => Phase::Seek,
-            (Phase::Seek, Some(_)) => Phase::BackOff,
+            (Phase::Seek, Some(edge)) => {
+                self.found = edge;
+                Phase::BackOff
+            }
             (Phase::BackOff, _) => Phase::Approach,
+            (Phase::Approach, Some(edge))
+                if edge.abs_diff(self.found) > mechanics.step(axis, mechanics.back_off_mdeg) as u32 / 16 =>
+            {
+                Phase::Leave
+            }
             (Phase::Approach, Some(edge)) => {
                 let i = axis as usize;
                 let off = edge.wrapping_sub(mechanics.step(axis, mechanics.switch_mdeg[i]));

@@ -2,7 +2,7 @@
 //!
 //! The half-press is held from the start to the end of the bracket. Every photograph's contact is closed for its time,
 //! counted from the moment at which it did close. Where a flash-sync is wired, the next photograph does not begin before
-//! this one was confirmed or its time to be confirmed was over: a late flash-sync never confirms the wrong photograph.
+//! this one was confirmed or its time to be confirmed was over: a flash-sync within that time never confirms another one.
 
 use rigel_protocol::Bracket;
 

@@ -168,3 +168,19 @@ fn the_duration_is_that_of_a_trapezoid_or_a_triangle() {
     // 1.2 degrees: full speed is never reached, 2 sqrt(1.2 / 120) seconds.
     assert_eq!(Profile::new(200, pace).end_us, 200_000);
 }
+
+#[test]
+fn the_longest_ways_that_a_rig_may_have_do_not_overflow() {
+    // Eight turns of the finest steps, and the slowest pace that goes with them.
+    let steps = 8 << 22;
+    let slow = Pace { interval_us: 1_000_000, rise_us2: (1 << 62) / (2 * 9 << 22) };
+    for interval_us in [10, 1_000, 1_000_000] {
+        let pace = Pace { interval_us, ..slow };
+        let profile = Profile::new(steps, pace);
+        let times: Vec<u64> = (0..=200).map(|i| profile.time_us(1 + (steps - 1) / 200 * i)).collect();
+        assert!(times.windows(2).all(|times| times[0] < times[1]));
+        assert!(times[200] <= profile.end_us && profile.braked(steps / 3).end_us <= profile.end_us);
+        let mut motion = Motion::new([steps as i32, -(steps as i32)], [pace; 2]);
+        assert_eq!((motion.step(), motion.end_us()), ([1, -1], profile.end_us));
+    }
+}
