@@ -3,14 +3,27 @@
 //! The surface turns by the pan about its normal and then by the tilt about the rig's horizontal axis
 //! ([`crate::geometry::Pose::from_rig`]); the camera stays where it is.
 
+use rigel_protocol::{Limits, Status};
+
 use crate::Result;
 
+mod clock;
 mod conversation;
+mod ear;
+mod link;
+mod notice;
+mod place;
 mod serial;
+mod tracking;
 mod trigger;
 
+pub use clock::{Clock, Moment};
 pub use conversation::SerialRig;
-pub use trigger::{Exposed, TriggerLine};
+pub use place::{Ends, Place, Timing};
+pub use rigel_protocol::{Format, Halt, Output, State, TrackerState, TrackerStatus, Tracking};
+pub use serial::{Port, SerialPlace, Usb, ports};
+pub use tracking::{Records, Stamped};
+pub use trigger::{Contact, Exposed, TriggerLine};
 
 /// Where a move has ended.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -37,6 +50,12 @@ pub trait Rig {
 
     /// Which rig this is, in a line for people.
     fn describe(&self) -> String;
+
+    /// What happened since this was last asked although the work went on, in sentences for the journal: a cable that was
+    /// out, a rig that was homed again.
+    fn take_notices(&mut self) -> Vec<String> {
+        vec![]
+    }
 }
 
 /// How far and how fast a rig goes; both axes share speed and acceleration.
@@ -55,6 +74,18 @@ pub struct RigLimits {
 }
 
 impl RigLimits {
+    fn new(said: &Limits) -> Self {
+        // A pan must be within the limits and must not wind the cables too far.
+        let winding = said.winding_mdeg;
+        Self {
+            pan_rad: [rad(said.pan_min_mdeg.max(-winding)), rad(said.pan_max_mdeg.min(winding))],
+            tilt_rad: [rad(said.tilt_min_mdeg), rad(said.tilt_max_mdeg)],
+            speed_rad_s: f64::from(said.speed_mdeg_s) * RAD_PER_MDEG,
+            acceleration_rad_s2: f64::from(said.acceleration_mdeg_s2) * RAD_PER_MDEG,
+            settle_s: f64::from(said.settle_ms) / 1000.0,
+        }
+    }
+
     /// The time of a move between two positions (pan, tilt; radians), settling included, seconds.
     ///
     /// Both axes arrive together, so the longer way decides: a trapezoid of speed, or a triangle where the way is too
@@ -78,6 +109,51 @@ impl RigLimits {
     }
 }
 
+/// Where a rig is and what has happened.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RigStatus {
+    /// What it is doing.
+    pub state: State,
+    /// Its pan, radians.
+    pub pan_rad: f64,
+    /// Its tilt, radians.
+    pub tilt_rad: f64,
+    /// Why it ended the last thing that moved by itself; `None` when it did not.
+    pub halt: Option<Halt>,
+    /// By how many steps pan and tilt were off at the last homing.
+    pub lost_steps: [i32; 2],
+    /// How many photographs of the last bracket were taken.
+    pub exposed: u8,
+    /// How many of them the flash-sync confirmed.
+    pub confirmed: u8,
+    /// How many damaged or unknown frames it has heard since it was switched on.
+    pub bad_frames: u32,
+}
+
+impl RigStatus {
+    fn new(said: &Status) -> Self {
+        let Status { state, pan_mdeg, tilt_mdeg, halt, lost_steps, exposed, confirmed, bad_frames } = *said;
+        let (pan_rad, tilt_rad) = (rad(pan_mdeg), rad(tilt_mdeg));
+        Self { state, pan_rad, tilt_rad, halt, lost_steps, exposed, confirmed, bad_frames }
+    }
+}
+
+const RAD_PER_MDEG: f64 = std::f64::consts::PI / 180_000.0;
+
+fn rad(mdeg: i32) -> f64 {
+    f64::from(mdeg) * RAD_PER_MDEG
+}
+
+fn degrees(mdeg: i32) -> f64 {
+    f64::from(mdeg) / 1000.0
+}
+
+/// The nearest thousandth of a degree; `None` for what is no angle or does not fit.
+fn mdeg(angle_rad: f64) -> Option<i32> {
+    let mdeg = (angle_rad / RAD_PER_MDEG).round();
+    (mdeg.abs() < f64::from(i32::MAX)).then_some(mdeg as i32)
+}
+
 /// A tenth of the rig's unit, a thousandth of a degree: a limit of π is 180.000 degrees there.
 const ROUNDING_RAD: f64 = 1.7e-6;
 
@@ -92,6 +168,16 @@ mod tests {
         acceleration_rad_s2: 2.0,
         settle_s: 0.3,
     };
+
+    #[test]
+    fn angles_round_to_the_nearest_thousandth_of_a_degree_and_nothing_wraps() {
+        assert_eq!(mdeg(std::f64::consts::PI), Some(180_000));
+        assert_eq!(mdeg(-1.4 * RAD_PER_MDEG), Some(-1));
+        assert_eq!(mdeg(rad(-123_457)), Some(-123_457));
+        for no_angle in [f64::NAN, f64::INFINITY, 1e9] {
+            assert_eq!(mdeg(no_angle), None);
+        }
+    }
 
     #[test]
     fn travel_takes_the_time_of_the_longer_axis() {

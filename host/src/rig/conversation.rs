@@ -1,171 +1,306 @@
-//! The conversation with the rig at the other end of a serial port (or of a pseudo-terminal, where it is simulated).
+//! The conversation with a rig: hello, homing, moves, and what is done when the rig has restarted meanwhile.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant, SystemTime};
+use std::hash::{BuildHasher, Hasher, RandomState};
+use std::time::{Duration, Instant};
 
-use rigel_protocol::{Answer, Command, Fault, Limits, Reply, SCHEMA, State, Status, VERSION};
+use rigel_protocol::{Command, Fault, Halt, Hello, Limits, Reply, Restart, State, Status, Tracking, VERSION};
 
-use super::serial::Line;
-use super::{Reached, Rig, RigLimits, TriggerLine};
+use super::link::Link;
+use super::place::{Place, Timing};
+use super::serial::SerialPlace;
+use super::tracking::Pinger;
+use super::trigger::TriggerLine;
+use super::{Reached, Rig, RigLimits, RigStatus, degrees, mdeg, rad};
 use crate::{Error, Result};
 
 /// How long a moving rig may be silent before it is asked: its word that it arrived can be lost.
 const SILENCE: Duration = Duration::from_millis(200);
 /// How much later than announced a move may end.
 const PATIENCE: Duration = Duration::from_secs(3);
+/// How long a rig that is told to stop may take to be asked again.
+const STANDING: Duration = Duration::from_millis(50);
+/// How often a move is begun when the rig restarts in it; a rig whose power fails at every move is an error.
+const ATTEMPTS: u32 = 3;
+/// The rig stops by itself when it hears nothing for so long while it moves: the host asks several times a second.
+const DEAD_MAN: Duration = Duration::from_secs(5);
 
-/// No rig has coarser steps than a tenth of a degree; it goes to the step nearest to an angle.
+/// The rig on a serial port.
+///
+/// It survives its cable. When the line ends, the port is looked for, under another name too, and what was asked is asked
+/// again. A rig that went on meanwhile is only asked where it is. A rig that has restarted, or has stopped because the host
+/// was silent for too long, does not know where it is: it is homed again and the move repeated. Every such thing is told to
+/// [`SerialRig::on_notice`] and kept for [`Rig::take_notices`].
+pub struct SerialRig {
+    pub(super) link: Link,
+    board: String,
+    said: Limits,
+    homed: bool,
+    pub(super) tracking: Option<Tracking>,
+    pub(super) pinger: Option<Pinger>,
+}
+
+/// No rig has coarser steps than this; it goes to the step nearest to an angle, and says where that is.
 const LARGEST_STEP_MDEG: u32 = 100;
 
-/// The rig on a serial port: homed, in conversation, and asked one thing at a time.
-pub struct SerialRig {
-    line: Arc<Mutex<Line>>,
-    name: String,
-    board: String,
-    limits: RigLimits,
+/// How a motion ended.
+enum End {
+    At([i32; 2]),
+    Stopped([i32; 2]),
+    Halted(Halt),
+    Restarted,
 }
 
 impl SerialRig {
     /// Opens a port (`/dev/ttyACM0`, `COM3`), says hello and homes the rig; returns when it stands at pan 0, tilt 0.
     ///
     /// # Errors
-    /// [`Error::Device`], naming the port: when it cannot be opened, when nothing there answers within two seconds, when
-    /// the firmware speaks another version or schema (both are named), when the rig does not home.
+    /// Those of [`SerialRig::greet`] and [`SerialRig::home`].
     pub fn open(port_name: &str) -> Result<Self> {
-        let mut line = Line::open(port_name)?;
-        // A hello of another version or schema never gets here: the line refuses it.
-        let hello = match line.ask(Command::Hello {
-            version: VERSION,
-            schema: SCHEMA,
-            conversation: conversation(),
-        })? {
-            Reply::Hello(hello) => hello,
-            reply => return Err(confused(&line.name, &reply)),
-        };
-        if hello.limits.speed_mdeg_s == 0 || hello.limits.acceleration_mdeg_s2 == 0 {
-            let what = format!("the rig says that it cannot move: {:?}", hello.limits);
-            return Err(line.error(what, "correct the limits in its firmware"));
-        }
-        let mut rig = Self {
-            name: line.name.clone(),
-            line: Arc::new(Mutex::new(line)),
-            board: hello.board.as_str().into(),
-            limits: limits(&hello.limits),
-        };
+        let mut rig = Self::greet(port_name)?;
         rig.home()?;
         Ok(rig)
     }
 
+    /// Opens a port and says hello; nothing moves. The first move homes the rig.
+    ///
+    /// # Errors
+    /// [`Error::Device`], naming the port: when it cannot be opened, when nothing there answers within two seconds (and
+    /// whether anything is heard there at all), when the firmware speaks another version or schema (both are named).
+    pub fn greet(port_name: &str) -> Result<Self> {
+        Self::greet_at(Box::new(SerialPlace::new(port_name)), Timing::default())
+    }
+
+    /// Opens any place and says hello; nothing moves.
+    ///
+    /// # Errors
+    /// Those of [`SerialRig::greet`].
+    pub fn greet_at(place: Box<dyn Place>, timing: Timing) -> Result<Self> {
+        let link = Link::open(place, timing)?;
+        let hello = hello(&link)?;
+        if hello.limits.speed_mdeg_s == 0 || hello.limits.acceleration_mdeg_s2 == 0 {
+            let what = format!("the rig says that it cannot move: {:?}", hello.limits);
+            return Err(link.error(what, "correct the limits in its firmware"));
+        }
+        if hello.restart != Restart::Power {
+            link.notices().tell(format!("{}: the rig had restarted: {}", link.name(), why(hello.restart)));
+        }
+        let board = hello.board.as_str().into();
+        Ok(Self { link, board, said: hello.limits, homed: false, tracking: None, pinger: None })
+    }
+
+    /// From now on `listener` hears at once what people should know: a cable that is out, a rig that has restarted, what the
+    /// firmware logs. It may be called from another thread.
+    pub fn on_notice(&mut self, listener: impl Fn(&str) + Send + Sync + 'static) {
+        self.link.notices().listen(Box::new(listener));
+    }
+
     /// The camera's contact: a handle that other threads may have.
     pub fn trigger_line(&self) -> TriggerLine {
-        TriggerLine { line: self.line.clone() }
+        TriggerLine::new(self.link.clone())
     }
 
-    fn line(&self) -> MutexGuard<'_, Line> {
-        self.line.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn ask(&self, command: Command) -> Result<Reply> {
-        self.line().ask(command)
-    }
-
-    fn error(&self, what: impl Into<String>, remedy: &str) -> Error {
-        Error::Device { device: self.name.clone(), what: what.into(), remedy: remedy.into() }
-    }
-
-    fn home(&mut self) -> Result<()> {
-        // A host that went away may have left the rig moving.
-        if let Reply::Accepted { duration_ms } = self.ask(Command::Stop)?
-            && duration_ms > 0
-        {
-            self.wait(None, duration_ms)?;
-        }
-        match self.ask(Command::Home)? {
-            Reply::Accepted { duration_ms } => self.wait(Some([0, 0]), duration_ms).map(|_| ()),
-            Reply::Refused(fault) => {
-                Err(self.error(format!("the rig refuses to home: {fault:?}"), "switch it off and on again"))
+    /// Where the rig is and what has happened; nothing moves.
+    ///
+    /// # Errors
+    /// [`Error::Device`] when the rig does not answer.
+    pub fn status(&mut self) -> Result<RigStatus> {
+        for _ in 0..ATTEMPTS {
+            if let Some(status) = self.ask_status()? {
+                return Ok(RigStatus::new(&status));
             }
-            reply => Err(confused(&self.name, &reply)),
+            self.greet_again()?;
         }
+        Err(self.restarts())
     }
 
-    /// Waits until a move has ended, at `goal` if there is one.
-    fn wait(&mut self, goal: Option<[i32; 2]>, duration_ms: u32) -> Result<Reached> {
-        let sequence = self.line().sequence();
+    /// Stops whatever moves, finds the switches and goes to pan 0, tilt 0.
+    ///
+    /// # Errors
+    /// [`Error::Device`] when the rig does not answer or says that it cannot home, and why.
+    pub fn home(&mut self) -> Result<()> {
+        self.homed = false;
+        for _ in 0..ATTEMPTS {
+            // A host that went away may have left the rig moving.
+            if !self.stand()? {
+                self.greet_again()?;
+                continue;
+            }
+            let asked = self.link.ask(&Command::Home)?;
+            let duration_ms = match asked.reply {
+                Reply::Accepted { duration_ms } => duration_ms,
+                Reply::Refused(Fault::NoHello) => {
+                    self.greet_again()?;
+                    continue;
+                }
+                Reply::Refused(fault) => {
+                    let what = format!("the rig refuses to home: {fault:?}");
+                    return Err(self.link.error(what, "switch it off and on again"));
+                }
+                reply => return Err(self.link.confused(&reply)),
+            };
+            match self.wait(asked.sequence, duration_ms)? {
+                End::At(at) if is_there([0, 0], at) => {
+                    self.tell_lost_steps()?;
+                    self.homed = true;
+                    return Ok(());
+                }
+                End::At(at) | End::Stopped(at) => return Err(self.stopped([0, 0], at)),
+                End::Halted(halt) => self.survive(halt)?,
+                End::Restarted => self.greet_again()?,
+            }
+        }
+        Err(self.restarts())
+    }
+
+    /// Stops the rig and waits until it stands; false when it has restarted.
+    fn stand(&mut self) -> Result<bool> {
+        let duration_ms = match self.link.ask(&Command::Stop)?.reply {
+            Reply::Accepted { duration_ms } => duration_ms,
+            Reply::Refused(Fault::NoHello) => return Ok(false),
+            reply => return Err(self.link.confused(&reply)),
+        };
+        // The dead-man is part of every motion from here on.
+        let silence_ms = DEAD_MAN.as_millis() as u32;
+        match self.link.ask(&Command::DeadMan { silence_ms })?.reply {
+            Reply::Accepted { .. } => {}
+            Reply::Refused(Fault::NoHello) => return Ok(false),
+            reply => return Err(self.link.confused(&reply)),
+        }
         let deadline = Instant::now() + Duration::from_millis(duration_ms.into()) + PATIENCE;
         loop {
-            let heard = self.line().hear(SILENCE)?;
-            let at = match heard {
-                Some(Answer { sequence: s, reply: Reply::Arrived { pan_mdeg, tilt_mdeg } })
-                    if s == sequence =>
-                {
-                    [pan_mdeg, tilt_mdeg]
+            match self.ask_status()? {
+                None => return Ok(false),
+                Some(Status { state: State::Still | State::Lost, .. }) => return Ok(true),
+                Some(status) if Instant::now() >= deadline => {
+                    let what = format!("the rig was told to stop and is still {:?}", status.state);
+                    return Err(self.link.error(what, "switch it off and look at it"));
                 }
-                Some(Answer { reply: Reply::Stopped { pan_mdeg, tilt_mdeg }, .. }) => [pan_mdeg, tilt_mdeg],
-                // An answer to something older.
-                Some(_) => continue,
-                None => match self.ask(Command::Status)? {
-                    Reply::Status(Status { state: State::Still, pan_mdeg, tilt_mdeg, .. }) => {
-                        [pan_mdeg, tilt_mdeg]
-                    }
-                    // Stopped on its way to the switches.
-                    Reply::Status(Status { state: State::Lost, pan_mdeg, tilt_mdeg, .. })
-                        if goal.is_none() =>
-                    {
-                        [pan_mdeg, tilt_mdeg]
-                    }
-                    Reply::Status(Status {
-                        state: State::Homing | State::Moving | State::Braking | State::Settling,
-                        ..
-                    }) if Instant::now() < deadline => {
-                        continue;
-                    }
-                    Reply::Status(Status {
-                        state: State::Homing | State::Moving | State::Braking | State::Settling,
-                        pan_mdeg,
-                        tilt_mdeg,
-                        ..
-                    }) => {
-                        // Nothing is known about what holds it up: better that it stands still.
-                        let _ = self.ask(Command::Stop);
-                        return Err(self.error(
-                            format!(
-                                "the rig did not arrive within {:.1} s and is at pan {}°, tilt {}°",
-                                f64::from(duration_ms) / 1000.0 + PATIENCE.as_secs_f64(),
-                                degrees(pan_mdeg),
-                                degrees(tilt_mdeg)
-                            ),
-                            "see what blocks it, then start again",
-                        ));
-                    }
-                    _ => return Err(self.restarted()),
-                },
-            };
-            return match goal {
-                Some(goal) if (0..2).any(|i| goal[i].abs_diff(at[i]) > LARGEST_STEP_MDEG / 2) => Err(self
-                    .error(
-                        format!(
-                            "the rig stopped at pan {}°, tilt {}° instead of pan {}°, tilt {}°",
-                            degrees(at[0]),
-                            degrees(at[1]),
-                            degrees(goal[0]),
-                            degrees(goal[1])
-                        ),
-                        "see what stopped it, then start again",
-                    )),
-                _ => {
-                    Ok(Reached { pan_rad: rad(at[0]), tilt_rad: rad(at[1]), settle_s: self.limits.settle_s })
-                }
-            };
+                Some(_) => std::thread::sleep(STANDING),
+            }
         }
     }
 
-    fn restarted(&self) -> Error {
-        self.error("the rig has restarted and lost its position", "check its power supply, then start again")
+    /// Waits until a motion has ended, whether or not its event comes.
+    fn wait(&mut self, sequence: u16, duration_ms: u32) -> Result<End> {
+        let deadline = Instant::now() + Duration::from_millis(duration_ms.into()) + PATIENCE;
+        let mut asked = Instant::now();
+        loop {
+            let left = SILENCE.saturating_sub(asked.elapsed());
+            match self.link.ear().event(sequence, left) {
+                Some(Reply::Arrived { pan_mdeg, tilt_mdeg }) => return Ok(End::At([pan_mdeg, tilt_mdeg])),
+                Some(Reply::Stopped { pan_mdeg, tilt_mdeg }) => {
+                    return Ok(End::Stopped([pan_mdeg, tilt_mdeg]));
+                }
+                Some(Reply::Halted { halt, .. }) => return Ok(End::Halted(halt)),
+                _ => {}
+            }
+            asked = Instant::now();
+            let Some(status) = self.ask_status()? else { return Ok(End::Restarted) };
+            let at = [status.pan_mdeg, status.tilt_mdeg];
+            match (status.state, status.halt) {
+                (State::Still, _) => return Ok(End::At(at)),
+                (State::Lost, Some(halt)) => return Ok(End::Halted(halt)),
+                (State::Lost, None) => return Ok(End::Stopped(at)),
+                _ if Instant::now() < deadline => {}
+                _ => {
+                    // Nothing is known about what holds it up: better that it stands still.
+                    let _ = self.link.ask(&Command::Stop);
+                    return Err(self.link.error(
+                        format!(
+                            "the rig did not arrive within {:.1} s and is at {}",
+                            f64::from(duration_ms) / 1000.0 + PATIENCE.as_secs_f64(),
+                            place(at)
+                        ),
+                        "see what blocks it, then start again",
+                    ));
+                }
+            }
+        }
+    }
+
+    /// The rig's status; `None` when it has restarted.
+    fn ask_status(&self) -> Result<Option<Status>> {
+        match self.link.ask(&Command::Status)?.reply {
+            Reply::Status(status) => Ok(Some(status)),
+            Reply::Refused(Fault::NoHello) => Ok(None),
+            reply => Err(self.link.confused(&reply)),
+        }
+    }
+
+    /// Opens a new conversation with a rig that has restarted; it is lost, and its tracker is off.
+    pub(super) fn greet_again(&mut self) -> Result<()> {
+        self.homed = false;
+        let hello = hello(&self.link)?;
+        if hello.board.as_str() != self.board || hello.limits != self.said {
+            return Err(self.link.error(
+                format!("another rig is plugged in now: {}, not {}", hello.board, self.board),
+                "plug the first one in and start again",
+            ));
+        }
+        self.link.notices().tell(format!(
+            "{}: the rig has restarted ({}) and does not know where it is: it is homed before it moves again",
+            self.link.name(),
+            why(hello.restart)
+        ));
+        self.track_again()
+    }
+
+    /// What a halt means for the work: a silent host is over, everything else needs a person.
+    fn survive(&mut self, halt: Halt) -> Result<()> {
+        self.homed = false;
+        let axis = |axis: rigel_protocol::Axis| format!("{axis:?}").to_lowercase();
+        let (what, remedy) = match halt {
+            Halt::SilentHost => {
+                self.link.notices().tell(format!(
+                    "{}: the rig has stopped because it heard nothing for {} s: it is homed before it moves again",
+                    self.link.name(),
+                    DEAD_MAN.as_secs()
+                ));
+                return Ok(());
+            }
+            Halt::Switch(a) => {
+                (format!("the {}'s limit switch closed in a move", axis(a)), "see what it has run into")
+            }
+            Halt::NoSwitch(a) => (
+                format!("homing did not find the {}'s switch", axis(a)),
+                "check the motor and the switch's wires",
+            ),
+            Halt::StuckSwitch(a) => {
+                (format!("the {}'s switch does not open", axis(a)), "check the switch and its wires")
+            }
+            Halt::TooLong => ("a move took longer than it can take".into(), "see what blocks the rig"),
+        };
+        Err(self.link.error(format!("the rig has stopped: {what}"), &format!("{remedy}, then start again")))
+    }
+
+    fn tell_lost_steps(&self) -> Result<()> {
+        if let Some(Status { lost_steps: [pan, tilt], .. }) = self.ask_status()?
+            && [pan, tilt] != [0, 0]
+        {
+            self.link.notices().tell(format!(
+                "{}: homing found the pan off by {pan} steps and the tilt by {tilt}: views since the last homing may be off",
+                self.link.name()
+            ));
+        }
+        Ok(())
+    }
+
+    fn stopped(&self, goal: [i32; 2], at: [i32; 2]) -> Error {
+        self.link.error(
+            format!("the rig stopped at {} instead of {}", place(at), place(goal)),
+            "see what stopped it, then start again",
+        )
+    }
+
+    fn restarts(&self) -> Error {
+        self.link.error(
+            format!("the rig was lost {ATTEMPTS} times within one move"),
+            "check its power supply and its cable, then start again",
+        )
     }
 
     fn outside(&self, axis: &str, asked_rad: f64, [low_rad, high_rad]: [f64; 2]) -> Error {
-        self.error(
+        self.link.error(
             format!(
                 "a {axis} of {:.3}° is outside the rig's limits of {:.3}° to {:.3}°",
                 asked_rad.to_degrees(),
@@ -179,95 +314,121 @@ impl SerialRig {
 
 impl Rig for SerialRig {
     fn limits(&self) -> RigLimits {
-        self.limits
+        RigLimits::new(&self.said)
     }
 
     fn move_to(&mut self, pan_rad: f64, tilt_rad: f64) -> Result<Reached> {
         // Only what fits the words is said; whether it is within the limits, the rig decides.
-        let pan_mdeg = mdeg(pan_rad).ok_or_else(|| self.outside("pan", pan_rad, self.limits.pan_rad))?;
-        let tilt_mdeg = mdeg(tilt_rad).ok_or_else(|| self.outside("tilt", tilt_rad, self.limits.tilt_rad))?;
-        match self.ask(Command::MoveTo { pan_mdeg, tilt_mdeg })? {
-            Reply::Accepted { duration_ms } => self.wait(Some([pan_mdeg, tilt_mdeg]), duration_ms),
-            Reply::Refused(Fault::PanOutside { min_mdeg, max_mdeg, .. }) => {
-                Err(self.outside("pan", pan_rad, [rad(min_mdeg), rad(max_mdeg)]))
+        let limits = self.limits();
+        let pan_mdeg = mdeg(pan_rad).ok_or_else(|| self.outside("pan", pan_rad, limits.pan_rad))?;
+        let tilt_mdeg = mdeg(tilt_rad).ok_or_else(|| self.outside("tilt", tilt_rad, limits.tilt_rad))?;
+        let goal = [pan_mdeg, tilt_mdeg];
+        for _ in 0..ATTEMPTS {
+            if !self.homed {
+                self.home()?;
             }
-            Reply::Refused(Fault::TiltOutside { min_mdeg, max_mdeg, .. }) => {
-                Err(self.outside("tilt", tilt_rad, [rad(min_mdeg), rad(max_mdeg)]))
+            let asked = self.link.ask(&Command::MoveTo { pan_mdeg, tilt_mdeg })?;
+            let duration_ms = match asked.reply {
+                Reply::Accepted { duration_ms } => duration_ms,
+                Reply::Refused(Fault::NoHello) => {
+                    self.greet_again()?;
+                    continue;
+                }
+                // Halted while nobody waited for it.
+                Reply::Refused(Fault::NotHomed) => {
+                    self.homed = false;
+                    continue;
+                }
+                Reply::Refused(fault) => return Err(self.refused(fault, pan_rad, tilt_rad)),
+                reply => return Err(self.link.confused(&reply)),
+            };
+            match self.wait(asked.sequence, duration_ms)? {
+                End::At(at) if is_there(goal, at) => {
+                    let settle_s = limits.settle_s;
+                    return Ok(Reached { pan_rad: rad(at[0]), tilt_rad: rad(at[1]), settle_s });
+                }
+                End::At(at) | End::Stopped(at) => return Err(self.stopped(goal, at)),
+                End::Halted(halt) => self.survive(halt)?,
+                End::Restarted => self.greet_again()?,
             }
-            Reply::Refused(Fault::NoHello | Fault::NotHomed) => Err(self.restarted()),
-            Reply::Refused(Fault::Busy) => {
-                Err(self.error("the rig is still moving", "wait until it stands still, then start again"))
-            }
-            reply => Err(confused(&self.name, &reply)),
         }
+        Err(self.restarts())
     }
 
     fn describe(&self) -> String {
+        let limits = self.limits();
         let [[pan_min, pan_max], [tilt_min, tilt_max]] =
-            [self.limits.pan_rad, self.limits.tilt_rad].map(|range| range.map(f64::to_degrees));
+            [limits.pan_rad, limits.tilt_rad].map(|range| range.map(f64::to_degrees));
         format!(
             "{} on {} (protocol {VERSION}): pan {pan_min:.1}° to {pan_max:.1}°, tilt {tilt_min:.1}° to {tilt_max:.1}°, \
              {:.0}°/s",
             self.board,
-            self.name,
-            self.limits.speed_rad_s.to_degrees()
+            self.link.name(),
+            limits.speed_rad_s.to_degrees()
         )
     }
-}
 
-fn limits(said: &Limits) -> RigLimits {
-    RigLimits {
-        pan_rad: [rad(said.pan_min_mdeg), rad(said.pan_max_mdeg)],
-        tilt_rad: [rad(said.tilt_min_mdeg), rad(said.tilt_max_mdeg)],
-        speed_rad_s: f64::from(said.speed_mdeg_s) * RAD_PER_MDEG,
-        acceleration_rad_s2: f64::from(said.acceleration_mdeg_s2) * RAD_PER_MDEG,
-        settle_s: f64::from(said.settle_ms) / 1000.0,
+    fn take_notices(&mut self) -> Vec<String> {
+        self.link.notices().take()
     }
 }
 
-pub(super) fn confused(name: &str, reply: &Reply) -> Error {
-    Error::Device {
-        device: name.into(),
-        what: format!("the rig answered something else than was asked: {reply:?}"),
-        remedy: "report this as a defect of its firmware".into(),
+impl SerialRig {
+    fn refused(&self, fault: Fault, pan_rad: f64, tilt_rad: f64) -> Error {
+        match fault {
+            Fault::PanOutside { min_mdeg, max_mdeg, .. } => {
+                self.outside("pan", pan_rad, [rad(min_mdeg), rad(max_mdeg)])
+            }
+            Fault::TiltOutside { min_mdeg, max_mdeg, .. } => {
+                self.outside("tilt", tilt_rad, [rad(min_mdeg), rad(max_mdeg)])
+            }
+            Fault::Winding { limit_mdeg, .. } => self.link.error(
+                format!(
+                    "a pan of {:.3}° winds the cables further than the {:.3}° that they bear",
+                    pan_rad.to_degrees(),
+                    degrees(limit_mdeg)
+                ),
+                "choose a view that the rig can reach",
+            ),
+            Fault::Busy => self.link.error("the rig is busy", "wait until it stands still, then start again"),
+            fault => self
+                .link
+                .error(format!("the rig refuses to move: {fault:?}"), "report this as a defect of Rigel"),
+        }
     }
 }
 
-/// A number that no other host has: taken from the clock.
-fn conversation() -> u32 {
-    let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-    (now.as_micros() as u32) ^ std::process::id().rotate_left(16)
+/// Says hello in a conversation of its own.
+fn hello(link: &Link) -> Result<Hello> {
+    // A hasher's keys are the only randomness in the standard library; the clock would repeat after a restart.
+    let conversation = RandomState::new().build_hasher().finish() as u32;
+    // A hello of another version or schema never gets here: the link refuses it.
+    match link.hello(conversation)? {
+        Reply::Hello(hello) => Ok(hello),
+        reply => Err(link.confused(&reply)),
+    }
 }
 
-const RAD_PER_MDEG: f64 = std::f64::consts::PI / 180_000.0;
-
-fn rad(mdeg: i32) -> f64 {
-    f64::from(mdeg) * RAD_PER_MDEG
+fn why(restart: Restart) -> &'static str {
+    match restart {
+        Restart::Power => "it was switched on or reset",
+        Restart::Watchdog => "its program hung and the watchdog ended it",
+        Restart::Panic => "its program panicked",
+    }
 }
 
-fn degrees(mdeg: i32) -> f64 {
-    f64::from(mdeg) / 1000.0
+/// Whether the rig stands on the step nearest to its goal.
+fn is_there(goal: [i32; 2], at: [i32; 2]) -> bool {
+    (0..2).all(|axis| goal[axis].abs_diff(at[axis]) <= LARGEST_STEP_MDEG / 2)
 }
 
-/// The nearest thousandth of a degree; `None` for what is no angle or does not fit.
-fn mdeg(angle_rad: f64) -> Option<i32> {
-    let mdeg = (angle_rad / RAD_PER_MDEG).round();
-    (mdeg.abs() < f64::from(i32::MAX)).then_some(mdeg as i32)
+fn place([pan_mdeg, tilt_mdeg]: [i32; 2]) -> String {
+    format!("pan {}°, tilt {}°", degrees(pan_mdeg), degrees(tilt_mdeg))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn angles_round_to_the_nearest_thousandth_of_a_degree_and_nothing_wraps() {
-        assert_eq!(mdeg(std::f64::consts::PI), Some(180_000));
-        assert_eq!(mdeg(-1.4 * RAD_PER_MDEG), Some(-1));
-        assert_eq!(mdeg(rad(-123_457)), Some(-123_457));
-        for no_angle in [f64::NAN, f64::INFINITY, 1e9] {
-            assert_eq!(mdeg(no_angle), None);
-        }
-    }
 
     #[test]
     fn a_port_that_is_not_there_is_named() {

@@ -1,137 +1,210 @@
-//! Questions and answers across a serial port: said until answered, damage skipped, every error naming the port.
+//! Serial ports: the only room that knows serialport.
 
-use std::collections::VecDeque;
-use std::io::{ErrorKind, Read, Write};
-use std::time::{Duration, Instant};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
 
-use rigel_protocol::{
-    Answer, Command, Decoder, LARGEST_FRAME, Reply, Request, SCHEMA, VERSION, encode, frame,
-};
-use serialport::{ClearBuffer, SerialPort};
+use serialport::{ClearBuffer, SerialPortType, UsbPortInfo};
 
+use super::place::{Ends, Place};
 use crate::{Error, Result};
 
 /// Ignored by USB, right for the others.
-const BAUD: u32 = 115_200;
-/// How long the rig may take to answer before the request is said again: a frame takes a few milliseconds.
-const REPLY_TIME: Duration = Duration::from_millis(100);
-/// How often a request is said before the rig is given up: two seconds cover a board that starts.
-const ATTEMPTS: u32 = 20;
+pub(super) const BAUD: u32 = 115_200;
+/// How long a read waits: also how long a closed line takes to be let go.
+const READ_TIME: Duration = Duration::from_millis(20);
 
-/// A serial port with a rig at its other end, asked one thing at a time.
-pub(super) struct Line {
-    pub(super) name: String,
-    port: Box<dyn SerialPort>,
-    decoder: Decoder,
-    /// What was heard and not yet looked at.
-    heard: VecDeque<Answer>,
-    sequence: u16,
+/// A serial port of this computer.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Port {
+    /// Its name: `/dev/ttyACM0`, `COM3`.
+    pub name: String,
+    /// The USB device behind it, if there is one.
+    pub usb: Option<Usb>,
 }
 
-impl Line {
-    pub(super) fn open(name: &str) -> Result<Self> {
-        let mut port = serialport::new(name, BAUD).timeout(REPLY_TIME).open().map_err(|e| Error::Device {
-            device: name.into(),
-            what: format!("cannot open the port: {e}"),
-            remedy: "check the name and the cable, and close other programs that use it".into(),
-        })?;
-        // A board may wait for this line before it talks; a pseudo-terminal does not have it.
-        let _ = port.write_data_terminal_ready(true);
-        // What was said before this conversation is of no interest; where it cannot be cleared, the framing copes.
-        let _ = port.clear(ClearBuffer::All);
-        Ok(Self { name: name.into(), port, decoder: Decoder::new(), heard: VecDeque::new(), sequence: 0 })
+/// How a USB device is known wherever it is plugged in.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Usb {
+    /// Who made it.
+    pub vendor: u16,
+    /// What it is.
+    pub product: u16,
+    /// Which one of its kind.
+    pub serial_number: Option<String>,
+    /// What it calls itself.
+    pub name: String,
+}
+
+impl std::fmt::Display for Usb {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "USB {:04x}:{:04x}", self.vendor, self.product)?;
+        if let Some(serial) = &self.serial_number {
+            write!(f, " {serial}")?;
+        }
+        if self.name.is_empty() { Ok(()) } else { write!(f, " ({})", self.name) }
+    }
+}
+
+/// The serial ports of this computer, by name.
+///
+/// # Errors
+/// [`Error::Device`] when the operating system does not tell.
+pub fn ports() -> Result<Vec<Port>> {
+    let found = serialport::available_ports().map_err(|e| Error::Device {
+        device: "serial ports".into(),
+        what: format!("they cannot be listed: {e}"),
+        remedy: "name the port yourself".into(),
+    })?;
+    let mut ports: Vec<Port> = found
+        .into_iter()
+        .map(|port| Port {
+            name: port.port_name,
+            usb: match port.port_type {
+                SerialPortType::UsbPort(info) => Some(usb(info)),
+                _ => None,
+            },
+        })
+        .collect();
+    ports.sort_by(|a, b| a.name.cmp(&b.name));
+    Ok(ports)
+}
+
+fn usb(info: UsbPortInfo) -> Usb {
+    let parts = [info.manufacturer, info.product].into_iter().flatten().collect::<Vec<_>>();
+    Usb { vendor: info.vid, product: info.pid, serial_number: info.serial_number, name: parts.join(" ") }
+}
+
+/// Tells under which names a port may have come back.
+type Candidates = Box<dyn FnMut() -> Vec<String> + Send>;
+
+/// A serial port, found again after it was unplugged: a USB device by its vendor, product and serial number, whatever its new
+/// name; any other port by its name.
+pub struct SerialPlace {
+    name: String,
+    /// Known once the port was opened.
+    usb: Option<Usb>,
+    opened: bool,
+    candidates: Option<Candidates>,
+}
+
+impl SerialPlace {
+    /// The port of that name.
+    pub fn new(name: &str) -> Self {
+        Self { name: name.into(), usb: None, opened: false, candidates: None }
     }
 
-    /// The sequence number of the last request.
-    pub(super) fn sequence(&self) -> u16 {
-        self.sequence
+    /// The port of that name; once lost, it is looked for under the names that `candidates` tells.
+    pub fn among(name: &str, candidates: impl FnMut() -> Vec<String> + Send + 'static) -> Self {
+        Self { candidates: Some(Box::new(candidates)), ..Self::new(name) }
     }
 
-    /// Says a request until it is answered.
-    pub(super) fn ask(&mut self, command: Command) -> Result<Reply> {
-        self.sequence = self.sequence.wrapping_add(1);
-        let request = Request { sequence: self.sequence, command: command.clone() };
-        for _ in 0..ATTEMPTS {
-            self.say(&request)?;
-            let deadline = Instant::now() + REPLY_TIME;
-            loop {
-                let left = deadline.saturating_duration_since(Instant::now());
-                match self.hear(left)? {
-                    None => break,
-                    // The end of a move is no reply; whoever waits for it learns it from the status.
-                    Some(Answer { reply: Reply::Arrived { .. } | Reply::Stopped { .. }, .. }) => {}
-                    Some(answer) if answer.sequence == request.sequence => return Ok(answer.reply),
-                    // Answered twice because it was said twice.
-                    Some(_) => {}
+    /// The names under which the port may be found now.
+    fn names(&mut self) -> std::result::Result<Vec<String>, String> {
+        if !self.opened {
+            return Ok(vec![self.name.clone()]);
+        }
+        if let Some(candidates) = &mut self.candidates {
+            return Ok(candidates());
+        }
+        let Some(usb) = &self.usb else { return Ok(vec![self.name.clone()]) };
+        let ports = ports().map_err(|e| e.to_string())?;
+        returned(usb, &self.name, &ports)
+    }
+}
+
+/// The port behind which a USB device has come back. One without a serial number is only taken where there is no doubt.
+fn returned(usb: &Usb, old_name: &str, ports: &[Port]) -> std::result::Result<Vec<String>, String> {
+    let same = |port: &&Port| port.usb.as_ref().is_some_and(|found| is_same(usb, found));
+    let names: Vec<String> = ports.iter().filter(same).map(|port| port.name.clone()).collect();
+    if names.len() > 1 && usb.serial_number.is_none() && !names.iter().any(|name| name == old_name) {
+        return Err(format!("it could be any of {}", names.join(", ")));
+    }
+    match names.iter().find(|name| *name == old_name) {
+        Some(name) => Ok(vec![name.clone()]),
+        None => Ok(names),
+    }
+}
+
+fn is_same(known: &Usb, found: &Usb) -> bool {
+    [known.vendor, known.product] == [found.vendor, found.product]
+        && known.serial_number == found.serial_number
+}
+
+impl Place for SerialPlace {
+    fn name(&self) -> String {
+        self.name.clone()
+    }
+
+    fn open(&mut self) -> std::result::Result<Ends, String> {
+        let mut why = String::from("it is not there");
+        for name in self.names()? {
+            match open(&name) {
+                Ok(ends) => {
+                    self.usb = identity(&name).or(self.usb.take());
+                    self.name = name;
+                    self.opened = true;
+                    return Ok(ends);
                 }
+                Err(error) => why = error.to_string(),
             }
         }
-        let waited_s = (REPLY_TIME * ATTEMPTS).as_secs_f64();
-        Err(self.error(
-            format!("no answer to {command:?} within {waited_s:.0} s, said {ATTEMPTS} times"),
-            "check that this is the rig's port, that the rig has power, and that its firmware runs",
-        ))
+        Err(why)
+    }
+}
+
+fn open(name: &str) -> serialport::Result<Ends> {
+    let mut reader = serialport::new(name, BAUD).timeout(READ_TIME).open()?;
+    // A board may wait for this line before it talks; a pseudo-terminal does not have it.
+    let _ = reader.write_data_terminal_ready(true);
+    // What was said before is of no interest; where it cannot be cleared, the framing copes.
+    let _ = reader.clear(ClearBuffer::All);
+    let writer = reader.try_clone()?;
+    Ok(Ends { reader: Box::new(reader), writer: Box::new(writer) })
+}
+
+/// The USB device behind a port, which may be named by a link (`/dev/serial/by-id/...`).
+fn identity(name: &str) -> Option<Usb> {
+    let real = |name: &str| std::fs::canonicalize(name).unwrap_or_else(|_| PathBuf::from(name));
+    let port = ports().ok()?.into_iter().find(|port| Path::new(&port.name) == real(name))?;
+    port.usb
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn usb(serial_number: Option<&str>) -> Usb {
+        Usb { vendor: 0x1209, product: 1, serial_number: serial_number.map(Into::into), name: "rig".into() }
     }
 
-    fn say(&mut self, request: &Request) -> Result<()> {
-        let mut buffer = [0; LARGEST_FRAME];
-        let frame = encode(request, &mut buffer).map_err(|e| {
-            self.error(format!("cannot say {request:?}: {e}"), "report this as a defect of Rigel")
-        })?;
-        self.port.write_all(frame).map_err(|e| self.lost(&e))
+    fn port(name: &str, usb: Option<Usb>) -> Port {
+        Port { name: name.into(), usb }
     }
 
-    /// The next answer, or `None` when nothing comes within `time`. Damaged frames are skipped: what they said is asked
-    /// for again.
-    pub(super) fn hear(&mut self, time: Duration) -> Result<Option<Answer>> {
-        let deadline = Instant::now() + time;
-        let mut buffer = [0; 256];
-        loop {
-            if let Some(answer) = self.heard.pop_front() {
-                return Ok(Some(answer));
-            }
-            let left = deadline.saturating_duration_since(Instant::now());
-            if left.is_zero() {
-                return Ok(None);
-            }
-            self.port.set_timeout(left).map_err(|e| self.lost(&e))?;
-            let count = match self.port.read(&mut buffer) {
-                Ok(0) => return Err(self.lost(&"end of file")),
-                Ok(count) => count,
-                Err(e) if matches!(e.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted) => continue,
-                Err(e) => return Err(self.lost(&e)),
-            };
-            self.take(&buffer[..count])?;
-        }
+    #[test]
+    fn a_usb_device_is_found_under_another_name() {
+        let mine = usb(Some("42"));
+        let ports = [
+            port("ttyACM0", Some(usb(Some("41")))),
+            port("ttyACM2", Some(Usb { name: "renamed".into(), ..usb(Some("42")) })),
+            port("ttyS0", None),
+        ];
+        assert_eq!(returned(&mine, "ttyACM0", &ports).unwrap(), ["ttyACM2"]);
+        assert!(returned(&mine, "ttyACM0", &ports[..1]).unwrap().is_empty(), "another of its kind is not it");
     }
 
-    fn take(&mut self, bytes: &[u8]) -> Result<()> {
-        for &byte in bytes {
-            let Some(Ok(payload)) = self.decoder.push(byte) else { continue };
-            // Before anything else: of another version nothing but this can be trusted.
-            if let Some((version, schema)) = frame::identity(payload)
-                && (version, schema) != (VERSION, SCHEMA)
-            {
-                return Err(self.error(
-                    format!(
-                        "the rig speaks version {version} (schema {schema:08x}) and this program speaks version \
-                         {VERSION} (schema {SCHEMA:08x})"
-                    ),
-                    "install firmware and program of the same release",
-                ));
-            }
-            if let Ok(answer) = frame::decode(payload) {
-                self.heard.push_back(answer);
-            }
-        }
-        Ok(())
+    #[test]
+    fn a_usb_device_without_serial_number_is_not_guessed() {
+        let ports = [port("ttyACM1", Some(usb(None))), port("ttyACM2", Some(usb(None)))];
+        assert_eq!(returned(&usb(None), "ttyACM0", &ports[1..]).unwrap(), ["ttyACM2"]);
+        assert_eq!(returned(&usb(None), "ttyACM1", &ports).unwrap(), ["ttyACM1"]);
+        let why = returned(&usb(None), "ttyACM0", &ports).unwrap_err();
+        assert!(why.contains("ttyACM1, ttyACM2"), "{why}");
     }
 
-    pub(super) fn error(&self, what: impl Into<String>, remedy: &str) -> Error {
-        Error::Device { device: self.name.clone(), what: what.into(), remedy: remedy.into() }
-    }
-
-    fn lost(&self, cause: &dyn std::fmt::Display) -> Error {
-        self.error(format!("the rig was unplugged or switched off ({cause})"), "connect it and start again")
+    #[test]
+    fn an_identity_tells_what_a_person_looks_for() {
+        assert_eq!(usb(Some("42")).to_string(), "USB 1209:0001 42 (rig)");
+        assert_eq!(Usb { name: String::new(), ..usb(None) }.to_string(), "USB 1209:0001");
     }
 }

@@ -1,0 +1,163 @@
+//! The tracker on the rig: its records with the host's time.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant, SystemTime};
+
+use rigel_protocol::{Command, Fault, Record, Reply, TrackerStatus, Tracking};
+
+use super::clock::Moment;
+use super::conversation::SerialRig;
+use super::link::Link;
+use crate::Result;
+
+/// How often the rig is asked for the time until its clock is known well, and from then on.
+const SOON: Duration = Duration::from_millis(50);
+const LATER: Duration = Duration::from_millis(500);
+/// After so long its clock is known well.
+const WELL_KNOWN: Duration = Duration::from_secs(10);
+/// How often it is asked before the first record: the shortest round trip counts.
+const PINGS: u32 = 8;
+
+/// How long the asking in the background may take to end.
+const GOODBYE: Duration = Duration::from_millis(250);
+
+/// A tracker's record with the host's time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stamped {
+    /// When its first byte came, by the host's clock.
+    pub at: SystemTime,
+    /// By how much `at` can be wrong at most, seconds.
+    pub bound_s: f64,
+    /// What the tracker said.
+    pub record: Record,
+}
+
+/// Where a tracker's records arrive, whoever else talks to the rig meanwhile.
+pub struct Records {
+    link: Link,
+    receiver: Receiver<(Record, Option<Moment>)>,
+}
+
+impl Records {
+    /// The next record, or `None` when none comes within `time`.
+    pub fn next(&self, time: Duration) -> Option<Stamped> {
+        let deadline = Instant::now() + time;
+        loop {
+            let left = deadline.saturating_duration_since(Instant::now());
+            let (record, moment) = match self.receiver.recv_timeout(left) {
+                Ok(received) => received,
+                Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => return None,
+            };
+            // A record from before the first ping of a rig that has restarted has no time: it is the old conversation's.
+            if let Some(moment) = moment {
+                let at = self.link.ear().system_time(moment);
+                return Some(Stamped { at, bound_s: moment.bound_s, record });
+            }
+        }
+    }
+}
+
+impl SerialRig {
+    /// Starts the tracker anew (or switches it off: 0 stations); its records go to [`SerialRig::records`]. A rig that
+    /// restarts is told again.
+    ///
+    /// # Errors
+    /// [`crate::Error::Device`] when the rig does not answer or refuses.
+    pub fn track(&mut self, tracking: Tracking) -> Result<()> {
+        self.tracking = Some(tracking);
+        if !self.begin(tracking)? {
+            self.greet_again()?;
+        }
+        self.pinger = (tracking.stations > 0).then(|| Pinger::start(self.link.clone()));
+        Ok(())
+    }
+
+    /// What [`SerialRig::greet_again`] owes to the tracker.
+    pub(super) fn track_again(&mut self) -> Result<()> {
+        match self.tracking {
+            Some(tracking) if !self.begin(tracking)? => {
+                Err(self.link.error("the rig restarts again and again", "check its power supply"))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// False when the rig has restarted.
+    fn begin(&self, tracking: Tracking) -> Result<bool> {
+        for _ in 0..PINGS {
+            self.link.ping()?;
+        }
+        match self.link.ask(&Command::Track(tracking))?.reply {
+            Reply::Accepted { .. } | Reply::Tracker(_) => Ok(true),
+            Reply::Refused(Fault::NoHello) => Ok(false),
+            Reply::Refused(fault) => {
+                let what = format!("the rig refuses to start its tracker: {fault:?}");
+                Err(self.link.error(what, "choose 1 or 2 stations"))
+            }
+            reply => Err(self.link.confused(&reply)),
+        }
+    }
+
+    /// Where the tracker's records arrive from now on; who asked before hears no more.
+    pub fn records(&mut self) -> Records {
+        let (sender, receiver) = channel();
+        self.link.ear().send_records(sender);
+        Records { link: self.link.clone(), receiver }
+    }
+
+    /// How the tracker is.
+    ///
+    /// # Errors
+    /// [`crate::Error::Device`] when the rig does not answer.
+    pub fn tracker(&mut self) -> Result<TrackerStatus> {
+        for _ in 0..2 {
+            match self.link.ask(&Command::Tracker)?.reply {
+                Reply::Tracker(status) => return Ok(status),
+                Reply::Refused(Fault::NoHello) => self.greet_again()?,
+                reply => return Err(self.link.confused(&reply)),
+            }
+        }
+        Err(self.link.error("the rig restarts again and again", "check its power supply"))
+    }
+}
+
+/// Asks the rig for the time, in the background, as long as records come.
+pub(super) struct Pinger {
+    ended: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Pinger {
+    fn start(link: Link) -> Self {
+        let ended = Arc::new(AtomicBool::new(false));
+        let thread = {
+            let ended = ended.clone();
+            std::thread::spawn(move || {
+                let start = Instant::now();
+                while !ended.load(Ordering::Relaxed) {
+                    // What goes wrong here goes wrong for whoever needs the rig, and is told there.
+                    let _ = link.ping();
+                    std::thread::park_timeout(if start.elapsed() < WELL_KNOWN { SOON } else { LATER });
+                }
+            })
+        };
+        Self { ended, thread: Some(thread) }
+    }
+}
+
+impl Drop for Pinger {
+    fn drop(&mut self) {
+        self.ended.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            thread.thread().unpark();
+            // The port is closed when it has ended; where it waits for a rig that is unplugged nobody waits for it.
+            let patience = Instant::now() + GOODBYE;
+            while !thread.is_finished() && Instant::now() < patience {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+        }
+    }
+}
