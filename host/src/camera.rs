@@ -1,5 +1,12 @@
 //! A camera: something that takes a photograph with a given exposure time and leaves its own file.
 
+pub mod exif;
+pub mod folder;
+pub mod matching;
+pub mod trigger;
+#[cfg(feature = "webcam")]
+pub mod webcam;
+
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 

@@ -7,10 +7,10 @@ mod table;
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use super::{Content, Event, LOCK_FILE, Manifest, Photograph, Session};
+use crate::camera::exif;
 use crate::geometry::Surface;
 use crate::picture::Picture;
 use crate::progress::Progress;
@@ -223,12 +223,7 @@ fn check_sizes(
 }
 
 fn exif_exposure_s(path: &Path) -> Option<f64> {
-    let file = fs::File::open(path).ok()?;
-    let data = exif::Reader::new().read_from_container(&mut BufReader::new(file)).ok()?;
-    match &data.get_field(exif::Tag::ExposureTime, exif::In::PRIMARY)?.value {
-        exif::Value::Rational(times) => times.first().map(exif::Rational::to_f64),
-        _ => None,
-    }
+    exif::read(path).ok()?.exposure_s
 }
 
 /// The name of a file that is copied to where the files of `names` already are.

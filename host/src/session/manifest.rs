@@ -87,9 +87,22 @@ impl Manifest {
     /// of another one or one that names no file.
     pub fn read(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(Error::io("read", path))?;
-        let manifest: Self = toml::from_str(&text).map_err(|error| {
+        Self::parse(&text, path)
+    }
+
+    /// The manifest of this text; `path` is named in errors.
+    ///
+    /// # Errors
+    /// Those of [`Manifest::read`].
+    pub fn parse(text: &str, path: &Path) -> Result<Self> {
+        let damaged = |error: toml::de::Error| {
             Error::input(path, error.message().to_owned(), "correct the line or restore the file from a copy")
-        })?;
+        };
+        let table = text.parse().map_err(damaged)?;
+        if let Some(number) = no_number(&toml::Value::Table(table)) {
+            return Err(Error::input(path, format!("has the number {number}"), "give a finite one"));
+        }
+        let manifest: Self = toml::from_str(text).map_err(damaged)?;
         if manifest.format != FORMAT {
             return Err(Error::input(
                 path,
@@ -141,6 +154,16 @@ impl Manifest {
                 "import with --surface 200mmx150mm",
             )
         })
+    }
+}
+
+/// A number in `value` that is none, or infinite: TOML knows them, no rig and no lens does.
+fn no_number(value: &toml::Value) -> Option<f64> {
+    match value {
+        toml::Value::Float(number) => (!number.is_finite()).then_some(*number),
+        toml::Value::Array(values) => values.iter().find_map(no_number),
+        toml::Value::Table(table) => table.values().find_map(no_number),
+        _ => None,
     }
 }
 

@@ -497,7 +497,7 @@ mod tests {
     #[test]
     fn a_photograph_that_is_taken_again_is_the_same_again() {
         let folder = tempfile::tempdir().unwrap();
-        let mut photograph = |camera: &mut SimulatedCamera<_>, name: &str| {
+        let photograph = |camera: &mut SimulatedCamera<_>, name: &str| {
             let taken = camera.photograph(0.01, &folder.path().join(name)).unwrap().taken().unwrap();
             fs::read(taken.file).unwrap()
         };

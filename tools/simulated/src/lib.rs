@@ -3,3 +3,4 @@
 pub mod camera;
 pub mod rig;
 pub mod scene;
+pub mod tracker;

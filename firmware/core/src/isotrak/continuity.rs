@@ -1,9 +1,11 @@
 //! Does a record follow from those before it?
 //!
-//! Position and orientation are followed by a filter that learns how far records are usually from where it expects
-//! them. A record farther off is held until the next one: if that comes back to the old course the held one was
-//! damaged; if it follows the held one, the tracker did move, and both are good. A change of the status character is
-//! borne out in the same way. A leap that nothing could have made needs [`LEAP_WITNESSES`] records that agree.
+//! A leap that nothing could have made is held until [`LEAP_WITNESSES`] records agree; a change of the status character
+//! until the next record repeats it.
+//!
+//! Where records say everything once, position and orientation are also followed by a filter that learns how far they
+//! usually are from where it expects them. A record farther off is held until the next one: if that comes back to the
+//! old course the held one was damaged; if it follows the held one, the tracker did move, and both are good.
 
 use rigel_protocol::{Orientation, Record};
 
@@ -20,7 +22,7 @@ const SLACK: [i64; 2] = [5_000, 5_000];
 /// Stamps jitter: records are thought to be at least so far apart, about the time of one.
 const SHORTEST_US: i64 = 16_667;
 /// A stamp may be so late, and the record thus so much farther.
-const JITTER_US: i64 = 10_000;
+const JITTER_US: i64 = 1_000;
 /// After so long without a good record nothing is known any more.
 const FORGOTTEN_US: i64 = 1_000_000;
 /// Three units of the formats' last digits are never suspicious: micrometres and millionths.
@@ -55,6 +57,8 @@ fn beside(mut pose: Pose, other: &Pose) -> Pose {
 
 /// One station's course.
 pub(super) struct Continuity {
+    /// Whether surprises below a leap are suspicious too.
+    strict: bool,
     course: Option<Course>,
     held: Option<Held>,
 }
@@ -83,8 +87,8 @@ struct Held {
 }
 
 impl Continuity {
-    pub(super) const fn new() -> Self {
-        Self { course: None, held: None }
+    pub(super) const fn new(strict: bool) -> Self {
+        Self { strict, course: None, held: None }
     }
 
     /// Nothing follows any more: the verdict on the record that is held.
@@ -97,7 +101,7 @@ impl Continuity {
         let pose = pose(&record);
         let course = self.course.filter(|c| since_us(record.at_us, c.at_us) < FORGOTTEN_US);
         let suspicion = match &course {
-            Some(course) => course.suspicion(&record, &pose),
+            Some(course) => course.suspicion(&record, &pose, self.strict),
             None => Some((Rejected::Continuity, 2)),
         };
         let held = self.held.take();
@@ -125,7 +129,7 @@ impl Continuity {
 
 impl Course {
     /// Why a record is suspicious, and how many must agree before it is believed; `None` if it is not.
-    fn suspicion(&self, record: &Record, pose: &Pose) -> Option<(Rejected, u8)> {
+    fn suspicion(&self, record: &Record, pose: &Pose, strict: bool) -> Option<(Rejected, u8)> {
         let pose = beside(*pose, &self.filtered);
         let elapsed_us = since_us(record.at_us, self.at_us);
         if !reachable(&self.last, &pose, elapsed_us) {
@@ -134,10 +138,9 @@ impl Course {
         let expected = self.expected(elapsed_us);
         for (i, (at, expected)) in pose.iter().zip(expected).enumerate() {
             let kind = usize::from(i >= 3);
-            let bound = FLOOR[kind]
-                + SUSPICIOUS * self.usual[kind] / 16
+            let bound = FLOOR[kind].max(SUSPICIOUS * self.usual[kind] / 16)
                 + self.velocity[i].abs() * JITTER_US / 1_000_000;
-            if (at - expected).abs() > bound {
+            if strict && (at - expected).abs() > bound {
                 return Some((Rejected::Continuity, 2));
             }
         }

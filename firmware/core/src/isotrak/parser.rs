@@ -62,7 +62,7 @@ impl Parser {
             doubt: 0,
             skipped: 0,
             whole: 0,
-            courses: [Continuity::new(), Continuity::new()],
+            courses: [Continuity::new(!layout.twice), Continuity::new(!layout.twice)],
         }
     }
 

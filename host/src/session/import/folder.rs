@@ -4,11 +4,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::{Found, Options, exif_exposure_s};
+use crate::camera::folder::{EXTENSIONS, list};
 use crate::session::{Manifest, View};
 use crate::{Error, Result};
-
-/// The file types that are taken for photographs.
-const EXTENSIONS: [&str; 6] = ["jpg", "jpeg", "png", "tif", "tiff", "exr"];
 
 /// Lists the photographs in the order of their names and groups them into views.
 pub(super) fn read(
@@ -16,18 +14,7 @@ pub(super) fn read(
     options: &Options,
     notes: &mut Vec<String>,
 ) -> Result<(Manifest, Vec<Found>)> {
-    let entries = std::fs::read_dir(folder).map_err(Error::io("read", folder))?;
-    let mut paths = vec![];
-    let mut others = 0;
-    for entry in entries {
-        let path = entry.map_err(Error::io("read", folder))?.path();
-        let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
-        match EXTENSIONS.contains(&extension.as_str()) {
-            true => paths.push(path),
-            false => others += 1,
-        }
-    }
-    paths.sort();
+    let (paths, others) = list(folder)?;
     if paths.is_empty() {
         return Err(Error::input(
             folder,

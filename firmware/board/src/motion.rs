@@ -1,0 +1,80 @@
+//! The task that owns the rig: it alone works the pins, and only the time and a message wake it.
+
+use core::sync::atomic::{AtomicBool, Ordering};
+
+use embassy_futures::select::{Either, select};
+use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use embassy_sync::channel::Channel;
+use embassy_time::{Duration, Instant, Timer};
+use heapless::String;
+use rigel_firmware_core::{Controller, Handled, Pins};
+use rigel_protocol::{Answer, Command, Reply, Request};
+
+use crate::{host, tracker};
+
+/// How often this task shows that it lives.
+const PULSE: Duration = Duration::from_millis(100);
+
+/// What this task is told.
+pub enum Heard {
+    /// By the host.
+    Request(Request),
+    /// By the line to the host: a damaged or unknown frame.
+    Noise,
+    /// By the tracker's task, about the request that was passed to it.
+    Tracker(Reply),
+}
+
+/// What this task is told.
+pub static HEARD: Channel<CriticalSectionRawMutex, Heard, 4> = Channel::new();
+
+/// Set by this task, cleared by the one that feeds the watchdog.
+pub static ALIVE: AtomicBool = AtomicBool::new(false);
+
+/// Obeys the host and steps the motors.
+pub async fn run(mut controller: Controller, mut pins: impl Pins, mut last_words: Option<String<60>>) -> ! {
+    // The request that the tracker's task has not answered: said again meanwhile, it is not passed on again.
+    let mut with_tracker = None;
+    loop {
+        let pulse = Instant::now() + PULSE;
+        let due = controller.next_us().map_or(pulse, |us| Instant::from_micros(us).min(pulse));
+        match select(HEARD.receive(), Timer::at(due)).await {
+            Either::First(Heard::Request(request)) => {
+                match controller.handle(&request, now_us(), &mut pins) {
+                    Handled::Answer(answer) => say(answer),
+                    Handled::Tracker if with_tracker == Some(request.sequence) => {}
+                    Handled::Tracker => {
+                        with_tracker = Some(request.sequence);
+                        let _ = tracker::REQUESTS.try_send(request.clone());
+                    }
+                }
+                if let Command::Hello { .. } = request.command
+                    && let Some(text) = last_words.take()
+                {
+                    say(Answer { sequence: request.sequence, reply: Reply::Log { text } });
+                }
+            }
+            Either::First(Heard::Noise) => controller.bad_frame(),
+            Either::First(Heard::Tracker(reply)) => {
+                with_tracker = None;
+                say(controller.remember(reply));
+            }
+            Either::Second(()) => {}
+        }
+        while controller.next_us().is_some_and(|us| us <= now_us()) {
+            if let Some(event) = controller.advance(now_us(), &mut pins) {
+                say(event);
+            }
+        }
+        ALIVE.store(true, Ordering::Relaxed);
+    }
+}
+
+fn say(answer: Answer) {
+    let _ = host::ANSWERS.try_send(answer);
+}
+
+/// The rig's clock.
+pub fn now_us() -> u64 {
+    Instant::now().as_micros()
+}

@@ -1,0 +1,70 @@
+//! The line to the tracker.
+
+use embassy_futures::select::{Either3, select3};
+use embassy_stm32::usart::{BufferedUartRx, BufferedUartTx};
+use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use embassy_sync::channel::Channel;
+use embassy_time::{Instant, Timer};
+use embedded_io_async::{Read, Write};
+use rigel_firmware_core::isotrak::{Driver, TrackerOutput};
+use rigel_protocol::{Answer, Command, Reply, Request};
+
+use crate::motion::{HEARD, Heard, now_us};
+use crate::{BAUD, host};
+
+/// The requests that are the tracker's: of two at once one is not answered, and asked again.
+pub static REQUESTS: Channel<CriticalSectionRawMutex, Request, 1> = Channel::new();
+
+/// Start, eight bits, stop.
+const BYTE_US: u64 = 10 * 1_000_000 / BAUD as u64;
+
+/// Runs the tracker's driver.
+#[embassy_executor::task]
+pub async fn run(mut say: BufferedUartTx<'static>, mut hear: BufferedUartRx<'static>) -> ! {
+    let mut driver = Driver::new();
+    let mut bytes = [0; 64];
+    let mut last_us = 0;
+    loop {
+        let due = driver.next_us().map_or(Instant::MAX, Instant::from_micros);
+        match select3(REQUESTS.receive(), hear.read(&mut bytes), Timer::at(due)).await {
+            Either3::First(Request { sequence, command }) => {
+                let outcome = match command {
+                    Command::Track(tracking) => driver.track(tracking, sequence, now_us()),
+                    _ => Ok(()),
+                };
+                let reply = outcome.map_or_else(Reply::Refused, |()| Reply::Tracker(driver.status()));
+                HEARD.send(Heard::Tracker(reply)).await;
+            }
+            Either3::Second(count) => {
+                // An error is noise on the line: the driver's checks tell.
+                let count = count.unwrap_or(0);
+                let now_us = now_us();
+                // The last of them has just ended.
+                let before_us = BYTE_US * (count as u64).saturating_sub(1);
+                driver.bytes(&bytes[..count], now_us.saturating_sub(before_us).max(last_us));
+                last_us = now_us;
+            }
+            Either3::Third(()) => {}
+        }
+        while let Some(output) = driver.advance(now_us()) {
+            let reply = match output {
+                // There is no error that this line could tell.
+                TrackerOutput::Send(bytes) => {
+                    let _ = say.write_all(bytes).await;
+                    continue;
+                }
+                TrackerOutput::Record(record) => {
+                    let answer = Answer { sequence: driver.sequence(), reply: Reply::Record(record) };
+                    if host::RECORDS.try_send(answer).is_err() {
+                        driver.lost();
+                    }
+                    continue;
+                }
+                TrackerOutput::Status(status) => Reply::Tracker(status),
+                // No text of the driver's is longer than a log.
+                TrackerOutput::Log(text) => Reply::Log { text: text.try_into().unwrap_or_default() },
+            };
+            let _ = host::ANSWERS.try_send(Answer { sequence: driver.sequence(), reply });
+        }
+    }
+}

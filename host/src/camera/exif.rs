@@ -1,0 +1,186 @@
+//! What a photograph's EXIF block says of its exposure, and the smallest block that says it.
+
+use std::io::BufReader;
+use std::path::Path;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use exif::{DateTime, Field, In, Rational, Reader, Tag, Value};
+
+use crate::{Error, Result};
+
+/// What a photograph says of its exposure; `None` for what it does not say.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Exif {
+    /// The exposure time as it stands there, seconds: whoever uses it checks that it is a positive number.
+    pub exposure_s: Option<f64>,
+    /// When the exposure began.
+    pub taken: Option<CameraTime>,
+}
+
+/// A moment by a camera's clock, which knows no time zone and is right to a minute or so.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CameraTime {
+    /// Since 1970 as the camera's clock shows it, seconds.
+    pub clock_s: f64,
+    /// The clock's smallest step, seconds: the moment is up to so much later.
+    pub step_s: f64,
+}
+
+/// Reads a photograph's EXIF block. A file without one says nothing.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be opened.
+pub fn read(path: &Path) -> Result<Exif> {
+    let file = std::fs::File::open(path).map_err(Error::io("read", path))?;
+    let Ok(block) = Reader::new().read_from_container(&mut BufReader::new(file)) else {
+        return Ok(Exif::default());
+    };
+    let exposure_s = match block.get_field(Tag::ExposureTime, In::PRIMARY).map(|field| &field.value) {
+        Some(Value::Rational(times)) => times.first().map(Rational::to_f64),
+        _ => None,
+    };
+    let taken = block.get_field(Tag::DateTimeOriginal, In::PRIMARY).and_then(text).and_then(|date| {
+        let fraction = block.get_field(Tag::SubSecTimeOriginal, In::PRIMARY).and_then(text);
+        camera_time(date, fraction.unwrap_or_default())
+    });
+    Ok(Exif { exposure_s, taken })
+}
+
+/// An EXIF block that tells an exposure time and, if known, when the exposure began, in UTC to a millisecond.
+pub fn block(exposure_s: f64, at: Option<SystemTime>) -> Vec<u8> {
+    let [ascii, long, rational] = [2, 4, 5];
+    const MICRO: f64 = 1e6;
+    let date = at.map(|at| {
+        let since = at.duration_since(UNIX_EPOCH).unwrap_or_default();
+        let (days, second) = ((since.as_secs() / 86_400) as i64, since.as_secs() % 86_400);
+        let (year, month, day) = civil(days);
+        let (hour, minute, second) = (second / 3600, second / 60 % 60, second % 60);
+        let date = format!("{year:04}:{month:02}:{day:02} {hour:02}:{minute:02}:{second:02}\0");
+        (date.into_bytes(), format!("{:03}\0", since.subsec_millis()).into_bytes())
+    });
+    let entry = |tag: u16, kind: u16, count: u32, value: [u8; 4]| {
+        [&tag.to_le_bytes()[..], &kind.to_le_bytes(), &count.to_le_bytes(), &value].concat()
+    };
+    let directory = |entries: &[Vec<u8>]| {
+        [(entries.len() as u16).to_le_bytes().to_vec(), entries.concat(), vec![0; 4]].concat()
+    };
+    // The header and a directory whose only entry points to the EXIF directory, which follows.
+    let mut bytes = b"II\x2a\0\x08\0\0\0".to_vec();
+    bytes.extend(directory(&[entry(0x8769, long, 1, 26u32.to_le_bytes())]));
+    let entries = if date.is_some() { 3 } else { 1 };
+    let values = bytes.len() as u32 + 2 + entries * 12 + 4;
+    let mut list = vec![entry(0x829a, rational, 1, values.to_le_bytes())];
+    if let Some((date, fraction)) = &date {
+        list.push(entry(0x9003, ascii, date.len() as u32, (values + 8).to_le_bytes()));
+        list.push(entry(0x9291, ascii, 4, [fraction[0], fraction[1], fraction[2], fraction[3]]));
+    }
+    bytes.extend(directory(&list));
+    bytes.extend(((exposure_s * MICRO).round() as u32).to_le_bytes());
+    bytes.extend((MICRO as u32).to_le_bytes());
+    bytes.extend(date.map(|(date, _)| date).unwrap_or_default());
+    bytes
+}
+
+fn text(field: &Field) -> Option<&[u8]> {
+    match &field.value {
+        Value::Ascii(texts) => texts.first().map(Vec::as_slice),
+        _ => None,
+    }
+}
+
+fn camera_time(date: &[u8], fraction: &[u8]) -> Option<CameraTime> {
+    let date = DateTime::from_ascii(date).ok()?;
+    if !(1..=12).contains(&date.month) {
+        return None;
+    }
+    let days = days(i64::from(date.year), i64::from(date.month), i64::from(date.day));
+    let whole =
+        days * 86_400 + i64::from(date.hour) * 3600 + i64::from(date.minute) * 60 + i64::from(date.second);
+    let digits: String =
+        fraction.iter().map(|&byte| char::from(byte)).take_while(char::is_ascii_digit).take(9).collect();
+    let step_s = 10f64.powi(-(digits.len() as i32));
+    let fraction_s = digits.parse().unwrap_or(0.0) * step_s;
+    Some(CameraTime { clock_s: whole as f64 + fraction_s, step_s })
+}
+
+/// Days from 1970-01-01 to a date of the Gregorian calendar (H. Hinnant, "chrono-compatible low-level date algorithms",
+/// `days_from_civil`).
+fn days(year: i64, month: i64, day: i64) -> i64 {
+    let year = if month <= 2 { year - 1 } else { year };
+    let era = year.div_euclid(400);
+    let of_era = year.rem_euclid(400);
+    let of_year = (153 * ((month + 9) % 12) + 2) / 5 + day - 1;
+    era * 146_097 + of_era * 365 + of_era / 4 - of_era / 100 + of_year - 719_468
+}
+
+/// The inverse of [`days`]: year, month and day.
+fn civil(days: i64) -> (i64, i64, i64) {
+    let shifted = days + 719_468;
+    let (era, of_era) = (shifted.div_euclid(146_097), shifted.rem_euclid(146_097));
+    let year = (of_era - of_era / 1460 + of_era / 36_524 - of_era / 146_096) / 365;
+    let of_year = of_era - (365 * year + year / 4 - year / 100);
+    let shifted_month = (5 * of_year + 2) / 153;
+    let day = of_year - (153 * shifted_month + 2) / 5 + 1;
+    let month = if shifted_month < 10 { shifted_month + 3 } else { shifted_month - 9 };
+    (year + era * 400 + i64::from(month <= 2), month, day)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    fn write(exposure_s: f64, at: Option<SystemTime>) -> tempfile::NamedTempFile {
+        use image::ImageEncoder;
+        let file = tempfile::Builder::new().suffix(".jpg").tempfile().unwrap();
+        let mut encoder = image::codecs::jpeg::JpegEncoder::new(file.as_file());
+        encoder.set_exif_metadata(block(exposure_s, at)).unwrap();
+        encoder.write_image(&[7; 12], 2, 2, image::ExtendedColorType::Rgb8).unwrap();
+        file
+    }
+
+    #[test]
+    fn what_is_written_is_read() {
+        for (seconds, millis) in [(0, 0), (951_782_399, 999), (1_709_164_800, 1), (4_102_444_799, 250)] {
+            let at = UNIX_EPOCH + Duration::from_millis(seconds * 1000 + millis);
+            for exposure_s in [1e-5, 0.012_34, 1.0 / 8.0, 30.0, 900.0] {
+                let exif = read(write(exposure_s, Some(at)).path()).unwrap();
+                assert!((exif.exposure_s.unwrap() - exposure_s).abs() < 1e-9);
+                let taken = exif.taken.unwrap();
+                assert!(
+                    (taken.clock_s - (seconds as f64 + millis as f64 / 1000.0)).abs() < 1e-6,
+                    "{taken:?}"
+                );
+                assert!((taken.step_s - 1e-3).abs() < 1e-12);
+            }
+        }
+        assert_eq!(read(write(0.5, None).path()).unwrap(), Exif { exposure_s: Some(0.5), taken: None });
+    }
+
+    #[test]
+    fn every_day_of_four_centuries_is_one_after_the_day_before() {
+        let first = days(1900, 1, 1);
+        assert_eq!((days(1970, 1, 1), days(2000, 3, 1)), (0, 11_017));
+        let mut before = civil(first - 1);
+        for day in first..days(2300, 1, 1) {
+            let date = civil(day);
+            assert_eq!(days(date.0, date.1, date.2), day);
+            let next =
+                [(before.0, before.1, before.2 + 1), (before.0, before.1 + 1, 1), (before.0 + 1, 1, 1)];
+            assert!(next.contains(&date), "{before:?} {date:?}");
+            before = date;
+        }
+    }
+
+    #[test]
+    fn a_clock_without_fractions_says_so_and_a_blank_one_says_nothing() {
+        let time = |date: &str, fraction: &str| camera_time(date.as_bytes(), fraction.as_bytes());
+        assert_eq!(time("1970:01:02 00:00:01", ""), Some(CameraTime { clock_s: 86_401.0, step_s: 1.0 }));
+        assert_eq!(time("1970:01:01 00:00:00", "25 "), Some(CameraTime { clock_s: 0.25, step_s: 0.01 }));
+        assert_eq!(time("0000:00:00 00:00:00", ""), None);
+        assert_eq!(time("    :  :     :  :  ", ""), None);
+        assert_eq!(read(tempfile::NamedTempFile::new().unwrap().path()).unwrap(), Exif::default());
+        assert!(read(Path::new("/nonexistent.jpg")).unwrap_err().to_string().contains("nonexistent"));
+    }
+}

@@ -1,0 +1,112 @@
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use super::*;
+use crate::camera::exif;
+
+const WAIT: Duration = Duration::from_millis(350);
+
+/// A little photograph that says when and for how long it was exposed; `level` makes its content.
+pub(in crate::camera) fn photograph(exposure_s: f64, at: SystemTime, level: u8) -> Vec<u8> {
+    use image::ImageEncoder;
+    let mut bytes = vec![];
+    let mut encoder = image::codecs::jpeg::JpegEncoder::new(&mut bytes);
+    encoder.set_exif_metadata(exif::block(exposure_s, Some(at))).unwrap();
+    encoder.write_image(&[level; 48], 4, 4, image::ExtendedColorType::Rgb8).unwrap();
+    bytes
+}
+
+fn second(number: u64) -> SystemTime {
+    UNIX_EPOCH + Duration::from_secs(1_790_000_000 + number)
+}
+
+struct Bench {
+    folder: tempfile::TempDir,
+    session: tempfile::TempDir,
+    camera: FolderCamera,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let camera = FolderCamera::open(folder.path(), WAIT).unwrap();
+        Self { folder, session: tempfile::tempdir().unwrap(), camera }
+    }
+
+    fn put(&self, name: &str, bytes: &[u8]) {
+        std::fs::write(self.folder.path().join(name), bytes).unwrap();
+    }
+
+    fn take(&mut self, exposure_s: f64, name: &str) -> Result<Taken> {
+        self.camera.photograph(exposure_s, &self.session.path().join(name)).and_then(Shot::taken)
+    }
+}
+
+#[test]
+fn photographs_are_taken_in_the_order_of_their_names_with_their_own_times() {
+    let mut bench = Bench::new();
+    bench.put("b.jpg", &photograph(0.26, second(2), 2));
+    bench.put("a.JPG", &photograph(0.5, second(1), 1));
+    bench.put("a.txt", b"not a photograph");
+    let first = bench.take(0.5, "view.0").unwrap();
+    assert_eq!(first, Taken { file: bench.session.path().join("view.0.JPG"), exposure_s: 0.5 });
+    let copy = std::fs::read(&first.file).unwrap();
+    assert_eq!(copy, std::fs::read(bench.folder.path().join("a.JPG")).unwrap());
+    assert_eq!(bench.take(0.25, "view.1").unwrap().exposure_s, 0.26);
+    let error = bench.take(0.125, "view.2").unwrap_err().to_string();
+    assert!(error.contains("no photograph came"), "{error}");
+}
+
+#[test]
+fn a_photograph_that_is_still_being_written_is_waited_for() {
+    let mut bench = Bench::new();
+    bench.camera.wait = Duration::from_secs(20);
+    let bytes = photograph(0.5, second(1), 1);
+    let path = bench.folder.path().join("slow.jpg");
+    let whole = bytes.clone();
+    let writer = std::thread::spawn(move || {
+        for end in [0, 1, 300, whole.len() - 1, whole.len()] {
+            std::fs::write(&path, &whole[..end]).unwrap();
+            // Longer than two looks: its size alone does not tell that it is not whole.
+            std::thread::sleep(Duration::from_millis(250));
+        }
+    });
+    let taken = bench.take(0.5, "a").unwrap();
+    assert_eq!(std::fs::read(taken.file).unwrap(), bytes);
+    writer.join().unwrap();
+}
+
+#[test]
+fn a_file_that_does_not_fit_is_refused_by_name() {
+    let refused = |bytes: &[u8], what: &str| {
+        let mut bench = Bench::new();
+        bench.put("a.jpg", &photograph(0.5, second(5), 1));
+        bench.take(0.5, "first").unwrap();
+        bench.put("wrong.jpg", bytes);
+        let error = bench.take(0.25, "second").unwrap_err().to_string();
+        assert!(error.contains("wrong.jpg") && error.contains(what), "{error}");
+        assert!(!bench.session.path().join("second.jpg").exists());
+    };
+    let good = photograph(0.25, second(6), 2);
+    refused(&photograph(0.125, second(6), 2), "0.125 s where 0.25 s");
+    refused(&photograph(0.25, second(4), 2), "was taken 1.0 s before");
+    refused(&photograph(0.5, second(5), 1), "the same photograph as");
+    refused(&good[..good.len() / 2], "cut short");
+    refused(b"words", "decoded");
+}
+
+#[test]
+fn after_an_interruption_what_was_taken_is_not_taken_again() {
+    let mut bench = Bench::new();
+    bench.put("a.jpg", &photograph(0.5, second(1), 1));
+    bench.put("b.jpg", &photograph(0.5, second(2), 2));
+    bench.take(0.5, "view0").unwrap();
+    bench.camera = FolderCamera::open(bench.folder.path(), WAIT).unwrap();
+    let taken = bench.take(0.5, "view1").unwrap();
+    assert_eq!(std::fs::read(taken.file).unwrap(), std::fs::read(bench.folder.path().join("b.jpg")).unwrap());
+}
+
+#[test]
+fn a_folder_that_is_not_there_is_refused_at_once() {
+    let error = FolderCamera::open(Path::new("/nonexistent"), WAIT).err().unwrap();
+    assert!(error.to_string().contains("/nonexistent"), "{error}");
+}

@@ -1,0 +1,113 @@
+//! What must be true of whatever comes from a line or a disk. The fuzz targets try it with what libFuzzer makes up, the test
+//! `regressions` with what it once found.
+
+use std::path::Path;
+
+use rigel::session::{Journal, Manifest};
+use rigel_protocol::{Answer, Decoder, LARGEST_FRAME, LARGEST_PAYLOAD, Request, encode, frame};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+/// The frame decoder, on a stream of any bytes (first byte even) or on a good frame around any message (odd).
+pub fn frame(bytes: &[u8]) {
+    let Some((kind, bytes)) = bytes.split_first() else { return };
+    if kind % 2 == 0 {
+        assert_eq!(heard(bytes), expected(bytes), "the decoder accepts what has its CRC, and nothing else");
+    } else {
+        let payload = &bytes[..bytes.len().min(LARGEST_PAYLOAD)];
+        let mut plain = payload.to_vec();
+        plain.extend(crc32(payload).to_le_bytes());
+        let mut stream = vec![0];
+        stream.extend(stuffed(&plain));
+        stream.push(0);
+        assert_eq!(heard(&stream), [payload], "a good frame is heard whatever is in it");
+        round_trip::<Request>(payload);
+        round_trip::<Answer>(payload);
+        frame::identity(payload);
+    }
+}
+
+fn heard(stream: &[u8]) -> Vec<Vec<u8>> {
+    let mut decoder = Decoder::new();
+    let found = |&byte| decoder.push(byte).and_then(|frame| frame.ok().map(<[u8]>::to_vec));
+    stream.iter().filter_map(found).collect()
+}
+
+/// A message that was understood is understood again when it is said again.
+fn round_trip<M: Serialize + DeserializeOwned + PartialEq + std::fmt::Debug>(payload: &[u8]) {
+    let Ok(message) = frame::decode::<M>(payload) else { return };
+    let mut buffer = [0; LARGEST_FRAME];
+    let stream = encode(&message, &mut buffer).expect("what fitted into a frame fits again");
+    let again: Vec<M> =
+        heard(stream).iter().map(|payload| frame::decode(payload).expect("said well")).collect();
+    assert_eq!(again, [message]);
+}
+
+/// What a stream holds, found in another way: cut at the zeros, unstuffed, divided by the polynomial bit by bit.
+fn expected(stream: &[u8]) -> Vec<Vec<u8>> {
+    let Some(last) = stream.iter().rposition(|&byte| byte == 0) else { return vec![] };
+    let frames = stream[..last].split(|&byte| byte == 0).filter(|frame| frame.len() <= LARGEST_FRAME);
+    frames
+        .filter_map(|frame| {
+            let plain = unstuffed(frame)?;
+            let (payload, crc) = plain.split_last_chunk::<4>()?;
+            (crc32(payload) == u32::from_le_bytes(*crc)).then(|| payload.to_vec())
+        })
+        .collect()
+}
+
+/// COBS (Cheshire and Baker 1999), from its description.
+fn unstuffed(mut frame: &[u8]) -> Option<Vec<u8>> {
+    let mut plain = vec![];
+    while let Some((&code, rest)) = frame.split_first() {
+        let (run, rest) = rest.split_at_checked(usize::from(code) - 1)?;
+        plain.extend(run);
+        if code < 255 && !rest.is_empty() {
+            plain.push(0);
+        }
+        frame = rest;
+    }
+    Some(plain)
+}
+
+fn stuffed(plain: &[u8]) -> Vec<u8> {
+    // No run here is as long as 254.
+    plain.split(|&byte| byte == 0).flat_map(|run| [&[run.len() as u8 + 1], run].concat()).collect()
+}
+
+/// CRC-32 as of Ethernet, bit by bit.
+fn crc32(bytes: &[u8]) -> u32 {
+    !bytes.iter().fold(!0, |crc, &byte| {
+        (0..8).fold(crc ^ u32::from(byte), |crc, _| (crc >> 1) ^ if crc & 1 == 1 { 0xedb8_8320 } else { 0 })
+    })
+}
+
+/// A session's journal: what is accepted is accepted with every cut of it, and survives being written again.
+pub fn journal(bytes: &[u8]) {
+    let path = Path::new("journal.jsonl");
+    let Ok((events, whole)) = Journal::parse(bytes, path) else { return };
+    assert!(whole <= bytes.len() && !bytes[whole..].contains(&b'\n'));
+    assert_eq!(events.len(), bytes.iter().filter(|&&byte| byte == b'\n').count());
+    for cut in 0..bytes.len() {
+        let (fewer, whole) = Journal::parse(&bytes[..cut], path).expect("a cut leaves whole lines");
+        assert!(whole <= cut && fewer == events[..fewer.len()]);
+    }
+    let line = |event| serde_json::to_string(event).expect("events are plain data") + "\n";
+    let written: String = events.iter().map(line).collect();
+    let (again, whole) = Journal::parse(written.as_bytes(), path).expect("what was written is read");
+    assert!(whole == written.len() && again == events);
+}
+
+/// A session's manifest: what is accepted survives being written again, and can be asked for everything.
+pub fn manifest(bytes: &[u8]) {
+    let Ok(text) = std::str::from_utf8(bytes) else { return };
+    let path = Path::new("session.toml");
+    let Ok(manifest) = Manifest::parse(text, path) else { return };
+    for (index, view) in manifest.views.iter().enumerate() {
+        assert!(!view.name.contains(['/', '\\']) && !view.name.is_empty());
+        let _ = manifest.lens(index);
+    }
+    let _ = manifest.surface();
+    let written = toml::to_string(&manifest).expect("a manifest is plain data");
+    assert_eq!(Manifest::parse(&written, path).expect("what was written is read"), manifest);
+}

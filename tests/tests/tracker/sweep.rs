@@ -1,0 +1,209 @@
+//! A million records through the parser, with everything that can go wrong on a line without checksums.
+
+use std::collections::VecDeque;
+
+use glam::{DQuat, DVec3, EulerRot};
+use rigel_firmware_core::isotrak::{Layout, Parser, Rejected};
+use rigel_protocol::{Format, Orientation, Output, Record};
+use rigel_simulated::tracker::{LineFaults, Tracker, TrackerOptions, gentle};
+
+const LAYOUTS: [(Format, Output); 4] = [
+    (Format::Ascii, Output::Quaternion),
+    (Format::Ascii, Output::Euler),
+    (Format::Binary, Output::Quaternion),
+    (Format::Binary, Output::Euler),
+];
+
+/// What became of the records of one run.
+#[derive(Debug, Default, Clone, Copy)]
+struct Tally {
+    sent: u32,
+    /// Records of which the line changed something.
+    damaged: u32,
+    /// Accepted as they were sent, damaged or not.
+    right: u32,
+    /// Of these, those that the line had damaged where it does not matter.
+    harmless: u32,
+    /// Accepted, but not what was sent …
+    wrong: u32,
+    /// … of which so many differ from it by more than the tracker's noise.
+    wrong_beyond_noise: u32,
+    /// Refused by a check, although the line had not touched them.
+    refused_unharmed: u32,
+    /// Of these, for the line's bad name alone.
+    doubtful: u32,
+}
+
+impl Tally {
+    fn add(&mut self, other: Self) {
+        self.sent += other.sent;
+        self.damaged += other.damaged;
+        self.right += other.right;
+        self.harmless += other.harmless;
+        self.wrong += other.wrong;
+        self.wrong_beyond_noise += other.wrong_beyond_noise;
+        self.refused_unharmed += other.refused_unharmed;
+        self.doubtful += other.doubtful;
+    }
+
+    /// The share of the records whose content the line had changed that were not accepted.
+    fn rejected_share(self) -> f64 {
+        let changed = self.damaged - self.harmless;
+        1.0 - f64::from(self.wrong) / f64::from(changed.max(1))
+    }
+
+    fn seen_share(self) -> f64 {
+        let changed = self.damaged - self.harmless - (self.wrong - self.wrong_beyond_noise);
+        1.0 - f64::from(self.wrong_beyond_noise) / f64::from(changed.max(1))
+    }
+}
+
+/// Sends `count` records through a line with `faults` to a parser, as the rig would do it.
+fn run(layout: Layout, stations: u8, faults: LineFaults, count: u32, seed: u64) -> Tally {
+    let options = TrackerOptions { receivers: stations, faults, seed, ..Default::default() };
+    let noise = (4.0 * options.position_noise_m * 1e6, 4.0 * options.angle_noise_rad);
+    let mut tracker = Tracker::new(options, gentle());
+    tracker.set_layout(layout);
+    for byte in b"uC" {
+        tracker.hear(*byte, 0);
+    }
+    let mut parser = Parser::new(layout, stations);
+    let mut tally = Tally::default();
+    // What was sent lately: the record, whether it was damaged, whether it was seen again.
+    let mut recent: VecDeque<(Record, bool, bool)> = VecDeque::new();
+    let mut verdicts = Vec::new();
+    while tally.sent < count {
+        let now_us = tracker.next_us().unwrap();
+        let bytes = tracker.advance(now_us);
+        for said in tracker.take_said() {
+            tally.sent += 1;
+            tally.damaged += u32::from(tracker.line().damaged);
+            recent.push_back((said, tracker.line().damaged, false));
+        }
+        for (at_us, byte) in bytes {
+            verdicts.extend(parser.push(byte, at_us));
+        }
+        if let Some(due_us) = parser.next_us().filter(|due_us| *due_us <= now_us + 16_000) {
+            verdicts.extend(parser.advance(due_us));
+        }
+        for verdict in verdicts.drain(..) {
+            match verdict {
+                Ok(record) => tally.judge(&record, &mut recent, noise),
+                Err(rejected) => tally.doubtful += u32::from(rejected == Rejected::Doubtful),
+            }
+        }
+        while recent.len() > 60 {
+            let (_, damaged, seen) = recent.pop_front().unwrap();
+            tally.refused_unharmed += u32::from(!damaged && !seen);
+        }
+    }
+    tally
+}
+
+impl Tally {
+    fn judge(&mut self, record: &Record, recent: &mut VecDeque<(Record, bool, bool)>, noise: (f64, f64)) {
+        // Bytes that came twice or in between have delayed it.
+        let begun = |said: &Record| (0..=5_000).contains(&(record.at_us as i64 - said.at_us as i64));
+        let Some((said, damaged, seen)) = recent.iter_mut().find(|(said, ..)| begun(said)) else {
+            self.wrong += 1;
+            self.wrong_beyond_noise += 1;
+            return;
+        };
+        *seen = true;
+        if (Record { at_us: said.at_us, ..*record }) == *said {
+            self.right += 1;
+            self.harmless += u32::from(*damaged);
+            return;
+        }
+        self.wrong += 1;
+        let (moved_um, turned_rad) = difference(record, said);
+        let beyond = record.status != said.status
+            || record.station != said.station
+            || moved_um > noise.0
+            || turned_rad > noise.1;
+        self.wrong_beyond_noise += u32::from(beyond);
+    }
+}
+
+/// How far apart two records are: micrometres along the worst axis, radians.
+fn difference(a: &Record, b: &Record) -> (f64, f64) {
+    let moved = (0..3).map(|i| (a.position_um[i] - b.position_um[i]).abs()).max().unwrap();
+    let turn = |record: &Record| match record.orientation {
+        Orientation::Quaternion(q) => {
+            let [w, x, y, z] = q.map(f64::from);
+            DQuat::from_xyzw(x, y, z, w).normalize()
+        }
+        Orientation::Euler(angles) => {
+            let [a, e, r] = angles.map(|mdeg| (f64::from(mdeg) / 1e3).to_radians());
+            DQuat::from_euler(EulerRot::ZYX, a, e, r)
+        }
+    };
+    let between = turn(a).inverse() * turn(b);
+    (f64::from(moved), 2.0 * DVec3::new(between.x, between.y, between.z).length().min(1.0).asin())
+}
+
+fn percent(part: u32, whole: u32) -> f64 {
+    100.0 * f64::from(part) / f64::from(whole.max(1))
+}
+
+#[test]
+fn a_good_line_loses_nothing() {
+    for (format, output) in LAYOUTS {
+        for (twice, stations) in [(false, 1), (true, 1), (true, 2)] {
+            let layout = Layout { format, output, twice };
+            let tally = run(layout, stations, LineFaults::default(), 20_000, 5);
+            assert_eq!(
+                (tally.damaged, tally.wrong, tally.refused_unharmed),
+                (0, 0, 0),
+                "{layout:?}: {tally:?}"
+            );
+            assert!(tally.right + 60 >= tally.sent);
+        }
+    }
+}
+
+#[test]
+fn lost_doubled_cut_and_babbled_bytes_never_make_a_record() {
+    for (format, output) in LAYOUTS {
+        for twice in [false, true] {
+            let layout = Layout { format, output, twice };
+            for rate in [1e-5, 1e-4, 1e-3, 1e-2] {
+                let tally = run(layout, 1, LineFaults::all_but_flips(rate), 30_000, 7);
+                println!(
+                    "{format:?} {output:?} twice {twice}, {rate:.0e} per byte: {} sent, {:.2} % damaged, {} wrong \
+                     ({} beyond noise), {:.2} % refused unharmed",
+                    tally.sent,
+                    percent(tally.damaged, tally.sent),
+                    tally.wrong,
+                    tally.wrong_beyond_noise,
+                    percent(tally.refused_unharmed, tally.sent),
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn flipped_bits_are_seen() {
+    for (format, output) in LAYOUTS {
+        for twice in [false, true] {
+            let layout = Layout { format, output, twice };
+            for rate in [1e-4, 1e-3, 1e-2, 1e-1] {
+                let faults = LineFaults { flipped: rate, ..Default::default() };
+                let tally = run(layout, 1, faults, 30_000, 7);
+                println!(
+                    "{format:?} {output:?} twice {twice}, flips {rate:.0e} per byte: {} sent, {} damaged, {} harmless, {} wrong \
+                     ({} beyond noise): {:.3} % rejected, {:.3} % of the visible, {:.2} % refused unharmed",
+                    tally.sent,
+                    tally.damaged,
+                    tally.harmless,
+                    tally.wrong,
+                    tally.wrong_beyond_noise,
+                    100.0 * tally.rejected_share(),
+                    100.0 * tally.seen_share(),
+                    percent(tally.refused_unharmed, tally.sent),
+                );
+            }
+        }
+    }
+}
