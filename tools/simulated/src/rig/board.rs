@@ -4,7 +4,9 @@ use std::collections::VecDeque;
 use std::time::Instant;
 
 use rigel_firmware_core::{Controller, Handled, Mechanics, Pins};
-use rigel_protocol::{Answer, Axis, Limits, Reply, Request, Restart, State, TrackerState, TrackerStatus};
+use rigel_protocol::{
+    Answer, Axis, Command, Limits, Reply, Request, Restart, State, TrackerState, TrackerStatus,
+};
 
 use super::{Photograph, RigOptions};
 
@@ -46,6 +48,7 @@ pub(super) struct Board {
     pub said: VecDeque<Answer>,
     switched_on: Instant,
     speed_factor: f64,
+    mechanics: Mechanics,
 }
 
 impl Board {
@@ -71,7 +74,20 @@ impl Board {
             said: VecDeque::new(),
             switched_on: Instant::now(),
             speed_factor: options.speed_factor,
+            mechanics,
         })
+    }
+
+    /// Starts the program anew: it has forgotten everything, and the motors stand where they happened to be.
+    pub fn restart(&mut self, why: Restart) {
+        self.catch_up();
+        if let Some(controller) = Controller::new("simulated rig", self.mechanics, why) {
+            self.controller = controller;
+        }
+        self.said.clear();
+        self.bench.set_shutter(false);
+        self.switched_on = Instant::now();
+        self.bench.now_us = 0;
     }
 
     fn now_us(&self) -> u64 {
@@ -92,7 +108,12 @@ impl Board {
     /// Hears a request.
     pub fn hear(&mut self, request: &Request) {
         let now_us = self.catch_up();
-        let answer = match self.controller.handle(request, now_us, &mut self.bench) {
+        let mut request = request.clone();
+        if let Command::DeadMan { silence_ms } = &mut request.command {
+            // The host's silence passes in the host's time, which does not run as fast.
+            *silence_ms = (f64::from(*silence_ms) * self.speed_factor) as u32;
+        }
+        let answer = match self.controller.handle(&request, now_us, &mut self.bench) {
             Handled::Answer(answer) => answer,
             // There is no tracker.
             Handled::Tracker => self.controller.remember(Reply::Tracker(TrackerStatus {
