@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
-use rigel_protocol::{Axis, Limits, State};
+use rigel_protocol::{Axis, Limits, Restart, State};
 use serialport::SerialPort;
 
 use board::Board;
@@ -231,6 +231,11 @@ impl SimulatedRig {
         }
         self.plug_in(Faults { unplug_after: None, silent_after: None, ..self.faults })?;
         Ok(&self.port_name)
+    }
+
+    /// Restarts the rig's program: it has forgotten the conversation and where it stands.
+    pub fn restart(&mut self, why: Restart) {
+        lock(&self.board).restart(why);
     }
 
     fn plug_in(&mut self, faults: Faults) -> rigel::Result<()> {

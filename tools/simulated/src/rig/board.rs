@@ -51,6 +51,7 @@ pub(super) struct Board {
     moves: Vec<Move>,
     switched_on: Instant,
     speed_factor: f64,
+    mechanics: Mechanics,
 }
 
 impl Board {
@@ -67,7 +68,20 @@ impl Board {
             moves: Vec::new(),
             switched_on: Instant::now(),
             speed_factor: options.speed_factor,
+            mechanics,
         })
+    }
+
+    /// Starts the program anew: it has forgotten everything, and the motors stand where they happened to be.
+    pub fn restart(&mut self, why: Restart) {
+        self.catch_up();
+        if let Some(controller) = Controller::new("simulated rig", self.mechanics, why) {
+            self.controller = controller;
+        }
+        self.said.clear();
+        self.bench.set_shutter(false);
+        self.switched_on = Instant::now();
+        self.bench.now_us = 0;
     }
 
     fn now_us(&self) -> u64 {
@@ -94,7 +108,12 @@ impl Board {
     /// Hears a request.
     pub fn hear(&mut self, request: &Request) {
         let now_us = self.catch_up();
-        let answer = match self.controller.handle(request, now_us, &mut self.bench) {
+        let mut request = request.clone();
+        if let Command::DeadMan { silence_ms } = &mut request.command {
+            // The host's silence passes in the host's time, which does not run as fast.
+            *silence_ms = (f64::from(*silence_ms) * self.speed_factor) as u32;
+        }
+        let answer = match self.controller.handle(&request, now_us, &mut self.bench) {
             Handled::Answer(answer) => answer,
             // There is no tracker.
             Handled::Tracker => self.controller.remember(Reply::Tracker(TrackerStatus {
