@@ -22,7 +22,7 @@ pub use conversation::SerialRig;
 pub use place::{Ends, Place, Timing};
 pub use rigel_protocol::{Format, Halt, Output, State, TrackerState, TrackerStatus, Tracking};
 pub use serial::{Port, SerialPlace, Usb, ports};
-pub use tracking::{Records, Stamped};
+pub use tracking::Records;
 pub use trigger::{Contact, Exposed, TriggerLine};
 
 /// Where a move has ended.

@@ -5,13 +5,14 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
 
 use rigel::camera::Camera;
 use rigel::capture::{add_views, bracket, capture, plan};
 use rigel::geometry::Lens;
 use rigel::picture::Picture;
 use rigel::progress::{Progress, Silent};
-use rigel::rig::{Rig, SerialRig};
+use rigel::rig::{Rig, SerialPlace, SerialRig, Timing};
 use rigel::sampling::{icosphere, tour};
 use rigel::session::{Manifest, Session};
 use rigel::{Error, Result};
@@ -94,7 +95,9 @@ fn an_unplugged_rig_is_named_and_the_session_resumes() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path().join("s");
     let simulated = rig(Faults { unplug_after: Some(30), ..Faults::default() });
-    let mut serial = SerialRig::open(simulated.port_name()).unwrap();
+    let timing = Timing { return_time: Duration::from_millis(200), ..Timing::default() };
+    let place = Box::new(SerialPlace::new(simulated.port_name()));
+    let mut serial = SerialRig::greet_at(place, timing).unwrap();
     let mut session = Session::create(&folder, manifest(&serial)).unwrap();
     let error = capture(&mut session, &mut serial, &mut camera(&simulated), &Silent).unwrap_err();
     assert!(error.to_string().contains(simulated.port_name()), "{error}");

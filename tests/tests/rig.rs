@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::time::{Duration, Instant};
 
-use rigel::rig::{Rig, SerialRig};
+use rigel::rig::{Rig, SerialPlace, SerialRig, Timing};
 use rigel_firmware_core::{Controller, Handled, Pins};
 use rigel_protocol::{
     Answer, Axis, Command, LARGEST_FRAME, Reply, Request, Restart, SCHEMA, VERSION, encode,
@@ -118,7 +118,9 @@ fn an_unplugged_rig_is_an_error_that_names_the_port() {
     for frames in [0, 1, 3, 7, 9] {
         let simulated = simulated(Faults { unplug_after: Some(frames), ..Faults::default() });
         let start = Instant::now();
-        let outcome = SerialRig::open(simulated.port_name()).and_then(|mut rig| {
+        let timing = Timing { return_time: Duration::from_millis(200), ..Timing::default() };
+        let place = Box::new(SerialPlace::new(simulated.port_name()));
+        let outcome = SerialRig::greet_at(place, timing).and_then(|mut rig| {
             VIEWS_RAD.iter().try_for_each(|&[pan, tilt]| rig.move_to(pan, tilt).map(|_| ()))
         });
         let error = outcome.unwrap_err().to_string();

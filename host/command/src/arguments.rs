@@ -20,6 +20,8 @@ pub enum Verb {
     Demo(Demo),
     /// Photograph a surface from many directions: a rig and a camera make a session
     Capture(Capture),
+    /// Bring the photographs that a captured session's camera kept into the session
+    Collect(Collect),
     /// Make a session of photographs that you have: a folder, a CSV or a COLMAP text model
     Import(Import),
     /// Turn a session's photographs into radiance: one OpenEXR per view, with variance and mask
@@ -66,7 +68,7 @@ pub struct Capture {
     /// The first exposure time of each view, seconds; it is halved until no pixel is saturated
     #[arg(long = "longest-exposure-time", value_name = "SECONDS", default_value_t = 1.0)]
     pub longest_exposure_time_s: f64,
-    /// Print views, time and disk space; move and photograph nothing
+    /// Print views, time and disk space, from a rehearsal on the rig's own firmware; move and photograph nothing
     #[arg(long)]
     pub dry_run: bool,
     /// Go on with a session that was interrupted, in whatever way (its own views are kept)
@@ -76,6 +78,14 @@ pub struct Capture {
     /// [default: their sizes, and every byte of the view that was interrupted]
     #[arg(long, requires = "resume")]
     pub verify: bool,
+}
+
+#[derive(Args)]
+pub struct Collect {
+    /// Folder of the session
+    pub session: PathBuf,
+    /// Folder of the photographs, every one of the session and no other; they are copied
+    pub photographs: PathBuf,
 }
 
 #[derive(Clone, Copy, ValueEnum)]

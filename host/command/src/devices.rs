@@ -38,7 +38,7 @@ pub struct Devices {
 }
 
 impl Devices {
-    /// Opens the rig, `simulated` or at a port, and a camera. A rig that is opened moves to its home. In front of a real rig
+    /// Opens the rig, `simulated` or at a port, and a camera. Nothing moves yet: the first move homes the rig. In front of a real rig
     /// the simulated camera sees the surface where the rig reports to be.
     ///
     /// # Errors
@@ -48,14 +48,14 @@ impl Devices {
         let (rig, position, simulated): (Box<dyn Rig>, Position, _) = if rig == "simulated" {
             let simulated = simulated_rig()?;
             let position = simulated.position();
-            let rig = SerialRig::open(simulated.port_name())?;
+            let rig = SerialRig::greet(simulated.port_name())?;
             let where_it_is = move || {
                 let now = position.now();
                 (now.pan_rad, now.tilt_rad)
             };
             (Box::new(rig), Box::new(where_it_is), Some(simulated))
         } else {
-            let rig = Reporting { rig: SerialRig::open(rig)?, at: Rc::default() };
+            let rig = Reporting { rig: SerialRig::greet(rig)?, at: Rc::default() };
             let at = rig.at.clone();
             (Box::new(rig), Box::new(move || at.get()), None)
         };
@@ -122,5 +122,9 @@ impl Rig for Reporting {
 
     fn describe(&self) -> String {
         self.rig.describe()
+    }
+
+    fn take_notices(&mut self) -> Vec<String> {
+        self.rig.take_notices()
     }
 }

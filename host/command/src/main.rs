@@ -19,6 +19,7 @@ fn main() -> ExitCode {
     let outcome = match arguments.verb {
         Verb::Demo(arguments) => verbs::demo(&arguments),
         Verb::Capture(arguments) => verbs::capture(&arguments),
+        Verb::Collect(arguments) => verbs::collect(&arguments),
         Verb::Import(arguments) => verbs::import(&arguments),
         Verb::Radiance(arguments) => verbs::radiance(&arguments),
         Verb::Observe(arguments) => verbs::observe(&arguments),

@@ -5,7 +5,7 @@ mod demo;
 mod fit;
 mod import;
 
-pub use capture::capture;
+pub use capture::{capture, collect};
 pub use demo::demo;
 pub use fit::{evaluate, fit, render};
 pub use import::{import, observe, radiance};

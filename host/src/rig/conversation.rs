@@ -21,8 +21,6 @@ const PATIENCE: Duration = Duration::from_secs(3);
 const STANDING: Duration = Duration::from_millis(50);
 /// How often a move is begun when the rig restarts in it; a rig whose power fails at every move is an error.
 const ATTEMPTS: u32 = 3;
-/// The rig stops by itself when it hears nothing for so long while it moves: the host asks several times a second.
-const DEAD_MAN: Duration = Duration::from_secs(5);
 
 /// The rig on a serial port.
 ///
@@ -160,7 +158,7 @@ impl SerialRig {
             reply => return Err(self.link.confused(&reply)),
         };
         // The dead-man is part of every motion from here on.
-        let silence_ms = DEAD_MAN.as_millis() as u32;
+        let silence_ms = self.link.timing().dead_man.as_millis() as u32;
         match self.link.ask(&Command::DeadMan { silence_ms })?.reply {
             Reply::Accepted { .. } => {}
             Reply::Refused(Fault::NoHello) => return Ok(false),
@@ -254,7 +252,7 @@ impl SerialRig {
                 self.link.notices().tell(format!(
                     "{}: the rig has stopped because it heard nothing for {} s: it is homed before it moves again",
                     self.link.name(),
-                    DEAD_MAN.as_secs()
+                    self.link.timing().dead_man.as_secs_f64()
                 ));
                 return Ok(());
             }

@@ -91,6 +91,10 @@ impl Link {
         &self.0.notices
     }
 
+    pub fn timing(&self) -> Timing {
+        self.0.timing
+    }
+
     /// The port's name now.
     pub fn name(&self) -> String {
         lock(&self.0.name).clone()

@@ -33,12 +33,19 @@ pub struct Timing {
     pub attempts: u32,
     /// How long an unplugged rig may take to come back.
     pub return_time: Duration,
+    /// The rig stops by itself when it hears nothing for so long while it moves; the host asks five times a second.
+    pub dead_man: Duration,
 }
 
 impl Default for Timing {
     /// A tenth of a second, where a frame takes a few milliseconds; twenty times, which covers a board that starts; half a
-    /// minute to push a plug back in.
+    /// minute to push a plug back in; five seconds of silence.
     fn default() -> Self {
-        Self { reply: Duration::from_millis(100), attempts: 20, return_time: Duration::from_secs(30) }
+        Self {
+            reply: Duration::from_millis(100),
+            attempts: 20,
+            return_time: Duration::from_secs(30),
+            dead_man: Duration::from_secs(5),
+        }
     }
 }

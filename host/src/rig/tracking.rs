@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, Instant};
 
 use rigel_protocol::{Command, Fault, Record, Reply, TrackerStatus, Tracking};
 
@@ -12,6 +12,7 @@ use super::clock::Moment;
 use super::conversation::SerialRig;
 use super::link::Link;
 use crate::Result;
+use crate::tracker::TrackerRecord;
 
 /// How often the rig is asked for the time until its clock is known well, and from then on.
 const SOON: Duration = Duration::from_millis(50);
@@ -24,17 +25,6 @@ const PINGS: u32 = 8;
 /// How long the asking in the background may take to end.
 const GOODBYE: Duration = Duration::from_millis(250);
 
-/// A tracker's record with the host's time.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Stamped {
-    /// When its first byte came, by the host's clock.
-    pub at: SystemTime,
-    /// By how much `at` can be wrong at most, seconds.
-    pub bound_s: f64,
-    /// What the tracker said.
-    pub record: Record,
-}
-
 /// Where a tracker's records arrive, whoever else talks to the rig meanwhile.
 pub struct Records {
     link: Link,
@@ -43,7 +33,7 @@ pub struct Records {
 
 impl Records {
     /// The next record, or `None` when none comes within `time`.
-    pub fn next(&self, time: Duration) -> Option<Stamped> {
+    pub fn next(&self, time: Duration) -> Option<TrackerRecord> {
         let deadline = Instant::now() + time;
         loop {
             let left = deadline.saturating_duration_since(Instant::now());
@@ -52,9 +42,11 @@ impl Records {
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => return None,
             };
             // A record from before the first ping of a rig that has restarted has no time: it is the old conversation's.
-            if let Some(moment) = moment {
-                let at = self.link.ear().system_time(moment);
-                return Some(Stamped { at, bound_s: moment.bound_s, record });
+            let Some(moment) = moment else { continue };
+            let at = self.link.ear().system_time(moment);
+            // No rig forwards the quaternion zero: it is left out, and its number is a gap.
+            if let Some(record) = TrackerRecord::new(at, moment.bound_s, &record) {
+                return Some(record);
             }
         }
     }

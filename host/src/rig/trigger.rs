@@ -119,7 +119,9 @@ impl TriggerLine {
             match self.link.ear().event(sequence, SILENCE) {
                 Some(Reply::Exposed { index, at_us, confirmed }) => {
                     let moment = self.link.ear().moment(at_us);
-                    let at = moment.map(|moment: Moment| self.link.ear().system_time(moment));
+                    // What was heard is no story of the future, however badly the clock is known.
+                    let at = moment
+                        .map(|moment: Moment| self.link.ear().system_time(moment).min(SystemTime::now()));
                     if let (Some(slot), Some(at)) = (heard.get_mut(usize::from(index)), at) {
                         *slot = Some(Exposed { at, confirmed });
                     }

@@ -17,8 +17,9 @@ const DOUBT: u8 = 32;
 /// Reads a tracker's bytes and gives out records, each once it is certain to have ended where it should and to agree with
 /// its neighbours.
 ///
-/// A record that comes within half a second of a broken one is refused as [`Rejected::Doubtful`] unless its layout says
-/// everything twice. The first record, and one that surprises, waits for the next to bear it out.
+/// A record that surprises, or has another status, waits for the next to bear it out. Where a layout says everything once
+/// the first record waits too, and whole records within half a second of a broken one are refused as
+/// [`Rejected::Doubtful`]. Each station's records come in order; one that waited may come after the other station's.
 pub struct Parser {
     layout: Layout,
     stations: u8,
@@ -151,12 +152,12 @@ impl Parser {
             }
             Ok(record) => {
                 self.whole = self.whole.saturating_add(1);
-                let doubtful = self.doubt > 0 && !self.layout.twice;
+                let doubtful = self.doubt > 0;
                 self.doubt = self.doubt.saturating_sub(1);
                 let course = if record.station == 2 { &mut self.courses[1] } else { &mut self.courses[0] };
-                let pair = course.judge(record);
+                let pair = course.judge(record, doubtful);
                 Verdicts(pair.map(|verdict| match verdict {
-                    Some(Ok(_)) if doubtful => Some(Err(Rejected::Doubtful)),
+                    Some(Ok(_)) if doubtful && !self.layout.twice => Some(Err(Rejected::Doubtful)),
                     other => other,
                 }))
             }
