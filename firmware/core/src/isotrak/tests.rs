@@ -100,7 +100,8 @@ fn a_small_error_is_refused_and_a_sudden_motion_is_not() {
     let verdicts = follow(ONCE, &[(4001, ' '), (4020, ' '), (4000, ' '), (4001, ' ')]);
     assert_eq!(verdicts, [Ok(4001), Err(Rejected::Continuity), Ok(4000), Ok(4001)]);
     // From standing still to one metre per second within a record, and back.
-    let moving: Vec<i32> = (0..30).map(|n| 4000 + 166 * n).chain((0..30).map(|n| 4000 + 166 * 29 + n % 2)).collect();
+    let moving: Vec<i32> =
+        (0..30).map(|n| 4000 + 166 * n).chain((0..30).map(|n| 4000 + 166 * 29 + n % 2)).collect();
     for layout in [ONCE, TWICE] {
         let records: Vec<_> = moving.iter().map(|&x| (x, ' ')).collect();
         let verdicts = follow(layout, &records);
