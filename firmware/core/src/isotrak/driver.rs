@@ -7,8 +7,8 @@ use super::ladder::{self, Step, Wait};
 use super::watch::Watch;
 use super::{Layout, Parser, Verdicts};
 
-/// A running tracker that says nothing for so long, thirty periods, is silent.
-const SILENT_US: u64 = 500_000;
+/// A running tracker that says nothing for so long, sixty periods, is silent.
+const SILENT_US: u64 = 1_000_000;
 /// A running tracker that talks for so long without a whole record babbles.
 const BABBLE_US: u64 = 1_000_000;
 /// A tracker that ran for so long has recovered: the next failure is its first.

@@ -5,9 +5,10 @@ use rigel_protocol::{Format, Record};
 use super::continuity::{Continuity, Pair};
 use super::{Layout, Rejected, checks};
 
-/// A record's last byte comes at most so long after its first: even ten-fold stalls of a line at 115 200 baud are
-/// shorter, and two records begin farther apart (60 per second). Halves of two records are never joined.
-const LONGEST_RECORD_US: u64 = 16_000;
+/// A record's bytes follow each other, 87 microseconds each at 115 200 baud, and may be delayed by so much. Two records
+/// begin farther apart (60 per second), so that halves of two are never joined.
+const LONGEST_STALL_US: u64 = 12_000;
+const BYTE_US: u64 = 87;
 /// After so long without a byte, the time of 46, a binary record of the right length has ended.
 const SILENCE_US: u64 = 4_000;
 /// How many whole records in a row a line must deliver after a broken one before it is trusted again, about half a
@@ -70,7 +71,8 @@ impl Parser {
     /// Hears a byte that came at `at_us`; records are given with count 0.
     pub fn push(&mut self, byte: u8, at_us: u64) -> Verdicts {
         let mut verdicts = self.advance(at_us);
-        if self.length > 0 && at_us.saturating_sub(self.first_us) > LONGEST_RECORD_US {
+        let longest_us = BYTE_US * self.layout.length() as u64 + LONGEST_STALL_US;
+        if self.length > 0 && at_us.saturating_sub(self.first_us) > longest_us {
             self.abandon();
         }
         match self.layout.format {
