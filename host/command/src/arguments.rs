@@ -50,8 +50,9 @@ pub struct Capture {
     /// The rig: `simulated`, or its serial port, such as /dev/ttyACM0
     #[arg(long, default_value = "simulated")]
     pub rig: String,
-    /// The camera
-    #[arg(long, value_enum, default_value = "simulated")]
+    /// The camera: `simulated`; `webcam` or `webcam:NUMBER`; `trigger`, which the rig releases and whose photographs are
+    /// collected afterwards, or `trigger:FOLDER`, where they appear; `folder:FOLDER`, which somebody else fills
+    #[arg(long, default_value = "simulated", value_parser = CameraChoice::parse)]
     pub camera: CameraChoice,
     /// How directions are chosen
     #[arg(long, value_enum, default_value = "icosphere")]
@@ -88,10 +89,35 @@ pub struct Collect {
     pub photographs: PathBuf,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
+#[derive(Debug, Clone, PartialEq)]
 pub enum CameraChoice {
     /// Renders a patchwork of known materials where the rig really is
     Simulated,
+    /// A webcam by its number
+    Webcam(u32),
+    /// A camera that the rig releases, and the folder where its photographs appear
+    Trigger(Option<PathBuf>),
+    /// A folder that somebody else fills
+    Folder(PathBuf),
+}
+
+impl CameraChoice {
+    fn parse(text: &str) -> Result<Self, String> {
+        let (kind, which) = text.split_once(':').map_or((text, None), |(kind, which)| (kind, Some(which)));
+        match (kind, which) {
+            ("simulated", None) => Ok(Self::Simulated),
+            ("webcam", which) => which
+                .unwrap_or("0")
+                .parse()
+                .map(Self::Webcam)
+                .map_err(|_| "a webcam has a number, such as webcam:0".into()),
+            ("trigger", which) if which != Some("") => Ok(Self::Trigger(which.map(PathBuf::from))),
+            ("folder", Some(which)) if !which.is_empty() => Ok(Self::Folder(which.into())),
+            _ => {
+                Err("give simulated, webcam, webcam:NUMBER, trigger, trigger:FOLDER or folder:FOLDER".into())
+            }
+        }
+    }
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -225,4 +251,29 @@ pub struct Evaluate {
     /// Folder for errors.csv and the pictures [default: the map's name with -errors, beside it]
     #[arg(long)]
     pub out: Option<PathBuf>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cameras_are_named_by_kind_and_place() {
+        let folder = PathBuf::from("a:b");
+        for (text, choice) in [
+            ("simulated", CameraChoice::Simulated),
+            ("webcam", CameraChoice::Webcam(0)),
+            ("webcam:2", CameraChoice::Webcam(2)),
+            ("trigger", CameraChoice::Trigger(None)),
+            ("trigger:a:b", CameraChoice::Trigger(Some(folder.clone()))),
+            ("folder:a:b", CameraChoice::Folder(folder)),
+        ] {
+            assert_eq!(CameraChoice::parse(text), Ok(choice), "{text}");
+        }
+        for text in
+            ["", "webcam:", "webcam:-1", "webcam:a", "trigger:", "folder", "folder:", "simulated:1", "leica"]
+        {
+            assert!(CameraChoice::parse(text).is_err(), "{text}");
+        }
+    }
 }

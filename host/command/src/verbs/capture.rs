@@ -16,7 +16,7 @@ use crate::say::say;
 pub fn capture(arguments: &Capture) -> Result<()> {
     // First of all: whoever may not write into the session need not bother the rig.
     let begun = if arguments.resume { Some(begun(arguments)?) } else { None };
-    let mut devices = Devices::open(&arguments.rig, arguments.camera)?;
+    let mut devices = Devices::open(&arguments.rig, &arguments.camera, &arguments.session)?;
     let (manifest, done) = match &begun {
         Some(session) => (session.manifest.clone(), session.done_views()),
         None => {
@@ -132,10 +132,10 @@ pub fn new_manifest(
     longest_exposure_s: f64,
 ) -> Result<(Manifest, Vec<Stop>)> {
     let mut manifest = Manifest {
-        distance_m: Some(devices.distance_m),
+        distance_m: devices.known.as_ref().map(|known| known.distance_m),
         longest_exposure_s: Some(longest_exposure_s),
-        surface: Some(devices.surface),
-        lenses: vec![devices.lens],
+        surface: devices.known.as_ref().map(|known| known.surface),
+        lenses: devices.known.iter().map(|known| known.lens).collect(),
         ..Manifest::new(devices.describe())
     };
     let stops = tour(directions, &devices.rig.limits())?;
