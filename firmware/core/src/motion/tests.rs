@@ -127,10 +127,10 @@ fn both_axes_keep_to_the_line_and_to_their_own_speed_and_end_on_one_edge() {
             for (time_us, step) in &edges {
                 for axis in 0..2 {
                     at[axis] += i64::from(step[axis]);
-                    if step[axis] != 0 {
-                        if let Some(last) = last_us[axis].replace(*time_us) {
-                            assert!(time_us - last >= paces[axis].interval_us, "{way:?} {paces:?}");
-                        }
+                    if step[axis] != 0
+                        && let Some(last) = last_us[axis].replace(*time_us)
+                    {
+                        assert!(time_us - last >= paces[axis].interval_us, "{way:?} {paces:?}");
                     }
                 }
                 // The cross product is the distance from the line times the length of the way.
@@ -173,7 +173,7 @@ fn the_duration_is_that_of_a_trapezoid_or_a_triangle() {
 fn the_longest_ways_that_a_rig_may_have_do_not_overflow() {
     // Eight turns of the finest steps, and the slowest pace that goes with them.
     let steps = 8 << 22;
-    let slow = Pace { interval_us: 1_000_000, rise_us2: (1 << 62) / (2 * 9 << 22) };
+    let slow = Pace { interval_us: 1_000_000, rise_us2: (1 << 62) / (18 << 22) };
     for interval_us in [10, 1_000, 1_000_000] {
         let pace = Pace { interval_us, ..slow };
         let profile = Profile::new(steps, pace);

@@ -48,9 +48,9 @@ fn homing_again_tells_the_lost_steps() {
     let mut bench = Bench::homed();
     bench.go(30_000, 20_000);
     for lost in [[-7, 12], [0, 0], [40, -1]] {
-        for axis in 0..2 {
-            bench.wires.motor[axis] -= lost[axis];
-            bench.wires.surface[axis] -= lost[axis];
+        for (axis, lost) in lost.into_iter().enumerate() {
+            bench.wires.motor[axis] -= lost;
+            bench.wires.surface[axis] -= lost;
         }
         bench = bench.home();
         assert_eq!(bench.status().lost_steps.map(i64::from), lost);
