@@ -13,6 +13,7 @@ use rigel_simulated::rig::{RigOptions, SimulatedRig};
 use rigel_simulated::scene::Scene;
 
 use crate::arguments::CameraChoice;
+use crate::bench::greet;
 
 /// How much faster than a real one the simulated rig moves: nobody wants to wait for what is not there.
 const SPEED_FACTOR: f64 = 40.0;
@@ -38,8 +39,8 @@ pub struct Devices {
 }
 
 impl Devices {
-    /// Opens the rig, `simulated` or at a port, and a camera. A rig that is opened moves to its home. In front of a real rig
-    /// the simulated camera sees the surface where the rig reports to be.
+    /// Opens the rig, `simulated` or at a port, and a camera. Nothing moves before the first view. In front of a real rig the
+    /// simulated camera sees the surface where the rig reports to be.
     ///
     /// # Errors
     /// [`Error::Device`] when the rig does not answer, [`Error::Request`] when rig and camera do not go together.
@@ -48,14 +49,14 @@ impl Devices {
         let (rig, position, simulated): (Box<dyn Rig>, Position, _) = if rig == "simulated" {
             let simulated = simulated_rig()?;
             let position = simulated.position();
-            let rig = SerialRig::open(simulated.port_name())?;
+            let rig = greet(simulated.port_name())?;
             let where_it_is = move || {
                 let now = position.now();
                 (now.pan_rad, now.tilt_rad)
             };
             (Box::new(rig), Box::new(where_it_is), Some(simulated))
         } else {
-            let rig = Reporting { rig: SerialRig::open(rig)?, at: Rc::default() };
+            let rig = Reporting { rig: greet(rig)?, at: Rc::default() };
             let at = rig.at.clone();
             (Box::new(rig), Box::new(move || at.get()), None)
         };
@@ -95,7 +96,11 @@ impl Devices {
     }
 }
 
-fn simulated_rig() -> Result<SimulatedRig> {
+/// A rig that is not there.
+///
+/// # Errors
+/// [`Error::Device`] where no pseudo-terminal can be had.
+pub fn simulated_rig() -> Result<SimulatedRig> {
     SimulatedRig::start(RigOptions {
         speed_factor: SPEED_FACTOR,
         mount_error_rad: MOUNT_ERROR_RAD,
@@ -122,5 +127,9 @@ impl Rig for Reporting {
 
     fn describe(&self) -> String {
         self.rig.describe()
+    }
+
+    fn take_notices(&mut self) -> Vec<String> {
+        self.rig.take_notices()
     }
 }

@@ -1,6 +1,7 @@
 //! The command `rigel`: parse, call one library function, report.
 
 mod arguments;
+mod bench;
 mod devices;
 mod progress;
 mod say;
@@ -19,6 +20,9 @@ fn main() -> ExitCode {
     let outcome = match arguments.verb {
         Verb::Demo(arguments) => verbs::demo(&arguments),
         Verb::Capture(arguments) => verbs::capture(&arguments),
+        Verb::Devices => verbs::devices(),
+        Verb::Rig(arguments) => verbs::rig(&arguments),
+        Verb::Tracker(arguments) => verbs::tracker(&arguments),
         Verb::Import(arguments) => verbs::import(&arguments),
         Verb::Radiance(arguments) => verbs::radiance(&arguments),
         Verb::Observe(arguments) => verbs::observe(&arguments),
