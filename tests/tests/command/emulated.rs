@@ -14,8 +14,8 @@ use std::time::{Duration, Instant};
 /// The image with the feature `emulator`, and QEMU; `None`, after saying what is missing, where one of them is not there.
 /// With `CI` set that is a failure.
 pub fn image() -> Option<PathBuf> {
-    let image = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../../firmware/board/target/rigel-firmware-emulator.elf");
+    let image =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../firmware/board/target/rigel-firmware-emulator.elf");
     let qemu = Command::new("qemu-system-arm").arg("--version").output();
     let missing = if !image.exists() {
         "the firmware's image: tools/firmware build"
@@ -71,7 +71,8 @@ impl Edges {
         let (set, reset) = (value as u16, (value >> 16) as u16);
         let before = self.levels;
         self.levels[port] = self.levels[port] & !reset | set;
-        let rises = |port: usize, pin: u16, levels: [u16; 2]| before[port] & pin == 0 && levels[port] & pin != 0;
+        let rises =
+            |port: usize, pin: u16, levels: [u16; 2]| before[port] & pin == 0 && levels[port] & pin != 0;
         for axis in 0..2 {
             if rises(PORT_C, STEP[axis], self.levels) {
                 let forwards = self.levels[PORT_C] & DIRECTION[axis] != 0;

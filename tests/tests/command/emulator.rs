@@ -27,7 +27,12 @@ fn the_image_captures() {
         .stdin(Stdio::null())
         .output()
         .unwrap();
-    eprintln!("{:?} {}{}", start.elapsed(), String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    eprintln!(
+        "{:?} {}{}",
+        start.elapsed(),
+        String::from_utf8_lossy(&output.stdout),
+        String::from_utf8_lossy(&output.stderr)
+    );
     eprintln!("{:?}", board.edges());
     assert!(output.status.success());
     let session = Session::open(&folder.path().join("session")).unwrap();
