@@ -80,9 +80,11 @@ impl Bench {
             let bytes = self.tracker.advance(next_us);
             self.to_driver.extend(bytes);
             self.said.extend(self.tracker.take_said());
-            while self.to_driver.front().is_some_and(|(at_us, _)| *at_us <= next_us) {
-                let (at_us, byte) = self.to_driver.pop_front().unwrap();
+            while let Some((at_us, byte)) =
+                self.to_driver.front().copied().filter(|(at_us, _)| *at_us <= next_us)
+            {
                 self.driver.byte(byte, at_us);
+                self.to_driver.pop_front();
             }
         }
     }

@@ -74,7 +74,7 @@ fn run(layout: Layout, stations: u8, faults: LineFaults, count: u32, seed: u64) 
     let mut recent: VecDeque<(Record, bool, bool)> = VecDeque::new();
     let mut verdicts = Vec::new();
     while tally.sent < count {
-        let now_us = tracker.next_us().unwrap();
+        let now_us = tracker.next_us().expect("it talks");
         let bytes = tracker.advance(now_us);
         for said in tracker.take_said() {
             tally.sent += 1;
@@ -91,8 +91,8 @@ fn run(layout: Layout, stations: u8, faults: LineFaults, count: u32, seed: u64) 
             tally.judge(&record, &mut recent, noise);
         }
         while recent.len() > 60 {
-            let (_, damaged, seen) = recent.pop_front().unwrap();
-            tally.refused_unharmed += u32::from(!damaged && !seen);
+            let unharmed = recent.pop_front().is_some_and(|(_, damaged, seen)| !damaged && !seen);
+            tally.refused_unharmed += u32::from(unharmed);
         }
     }
     tally
@@ -126,7 +126,7 @@ impl Tally {
 
 /// How far apart two records are: micrometres along the worst axis, radians.
 fn difference(a: &Record, b: &Record) -> (f64, f64) {
-    let moved = (0..3).map(|i| (a.position_um[i] - b.position_um[i]).abs()).max().unwrap();
+    let moved = (0..3).map(|i| (a.position_um[i] - b.position_um[i]).abs()).fold(0, i32::max);
     let turn = |record: &Record| match record.orientation {
         Orientation::Quaternion(q) => {
             let [w, x, y, z] = q.map(f64::from);
@@ -184,7 +184,7 @@ fn refused(layout: Layout, motion: Motion, jitter_us: u64, count: u64) -> usize 
     let mut refused = 0;
     for n in 0..count {
         let late_us = n.wrapping_mul(0x9e37_79b9_7f4a_7c15) % (jitter_us + 1);
-        for (at_us, byte) in tracker.advance(tracker.next_us().unwrap()) {
+        for (at_us, byte) in tracker.advance(tracker.next_us().expect("it talks")) {
             refused += parser.push(byte, at_us + late_us).filter(Result::is_err).count();
         }
     }
