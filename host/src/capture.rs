@@ -59,40 +59,51 @@ pub fn bracket(manifest: &Manifest, camera: &dyn Camera) -> Result<Vec<f64>> {
         .collect())
 }
 
+/// The views of a session that are not among `done`, with their pan and tilt in radians, in order.
+///
+/// # Errors
+/// [`Error::Request`] naming a view that has no pan and tilt.
+pub fn to_do(manifest: &Manifest, done: &[usize]) -> Result<Vec<(usize, [f64; 2])>> {
+    let views = (0..manifest.views.len()).filter(|view| !done.contains(view));
+    views.map(|view| Ok((view, target(manifest, view)?))).collect()
+}
+
 /// What is still to be done in a session, before anything moves: every view's target is checked against the rig's limits.
 ///
 /// # Errors
-/// [`Error::Request`] naming the first view that the rig cannot reach, or a time that the camera cannot take.
+/// [`Error::Request`] naming every view that the rig cannot reach, or a time that the camera cannot take.
 pub fn plan(manifest: &Manifest, done: &[usize], rig: &dyn Rig, camera: &dyn Camera) -> Result<Plan> {
     let times = bracket(manifest, camera)?;
     let limits = rig.limits();
-    let (mut at, mut travel_s, mut views) = ([0.0; 2], 0.0, 0);
-    for index in (0..manifest.views.len()).filter(|index| !done.contains(index)) {
-        let to @ [pan_rad, tilt_rad] = target(manifest, index)?;
-        if !limits.contains(pan_rad, tilt_rad) {
-            let degrees =
-                |range: [f64; 2]| format!("{:.1} to {:.1}", range[0].to_degrees(), range[1].to_degrees());
-            return Err(Error::request(
-                format!(
-                    "view {} is at pan {:.1} and tilt {:.1} degrees, the rig reaches {} and {}",
-                    manifest.views[index].name,
-                    pan_rad.to_degrees(),
-                    tilt_rad.to_degrees(),
-                    degrees(limits.pan_rad),
-                    degrees(limits.tilt_rad)
-                ),
-                "choose a smaller --zenith-limit",
-            ));
-        }
-        travel_s += limits.travel_time_s(at, to);
-        at = to;
-        views += 1;
+    let views = to_do(manifest, done)?;
+    let beyond: Vec<String> = views
+        .iter()
+        .filter(|(_, [pan_rad, tilt_rad])| !limits.contains(*pan_rad, *tilt_rad))
+        .map(|(view, at)| {
+            let [pan, tilt] = at.map(f64::to_degrees);
+            format!("{} at pan {pan:.1} and tilt {tilt:.1} degrees", manifest.views[*view].name)
+        })
+        .collect();
+    if !beyond.is_empty() {
+        let degrees =
+            |range: [f64; 2]| format!("{:.1} to {:.1}", range[0].to_degrees(), range[1].to_degrees());
+        return Err(Error::request(
+            format!(
+                "the rig reaches {} and {} degrees, not {}",
+                degrees(limits.pan_rad),
+                degrees(limits.tilt_rad),
+                beyond.join(", ")
+            ),
+            "choose a smaller --zenith-limit",
+        ));
     }
-    let most_photographs = views * times.len();
+    let starts = std::iter::once([0.0; 2]).chain(views.iter().map(|view| view.1));
+    let travel_s: f64 = starts.zip(&views).map(|(from, (_, to))| limits.travel_time_s(from, *to)).sum();
+    let most_photographs = views.len() * times.len();
     Ok(Plan {
-        views,
+        views: views.len(),
         most_photographs,
-        most_seconds: travel_s + views as f64 * times.iter().sum::<f64>(),
+        most_seconds: travel_s + views.len() as f64 * times.iter().sum::<f64>(),
         most_bytes: most_photographs as u64 * camera.file_size_bytes(),
     })
 }
@@ -129,7 +140,9 @@ pub fn capture(
             continue;
         }
         let [pan_rad, tilt_rad] = target(&session.manifest, view)?;
-        let reached = rig.move_to(pan_rad, tilt_rad)?;
+        let reached = rig.move_to(pan_rad, tilt_rad);
+        rig.take_notices().into_iter().try_for_each(|text| session.notice(text))?;
+        let reached = reached?;
         let place = Place {
             commanded_deg: [pan_rad.to_degrees(), tilt_rad.to_degrees()],
             reported_deg: [reached.pan_rad.to_degrees(), reached.tilt_rad.to_degrees()],

@@ -1,6 +1,7 @@
 //! A capture on disk: a folder with a manifest (`session.toml`: what was planned), an append-only journal
 //! (`journal.jsonl`: what was photographed) and the camera's own files, untouched, under `photographs/`.
 
+mod collect;
 mod content;
 mod event;
 pub mod import;
@@ -14,6 +15,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
+pub use collect::collect;
 pub use content::Content;
 pub use event::{Event, Exposed, Photograph, Place, Run};
 pub use journal::Journal;

@@ -33,3 +33,8 @@ fn journals() {
 fn manifests() {
     hold("manifest", properties::manifest);
 }
+
+#[test]
+fn trackers() {
+    hold("tracker", properties::tracker);
+}

@@ -8,12 +8,13 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
-use rigel::camera::{Camera, Shot};
+use image::ImageEncoder;
+use rigel::camera::{Camera, Shot, exif};
 use rigel::capture::capture;
 use rigel::geometry::Lens;
 use rigel::progress::Silent;
 use rigel::rig::{Reached, Rig, RigLimits};
-use rigel::session::{Event, Manifest, Session, View};
+use rigel::session::{Event, Manifest, Session, View, collect};
 use rigel::{Error, Result};
 use rigel_simulated::camera::{Options, SimulatedCamera};
 use rigel_simulated::scene::Scene;
@@ -347,4 +348,57 @@ fn a_camera_that_keeps_its_photographs_exposes_the_whole_bracket_once() {
         let error = rigel::measure::measure(&session, &rigel::measure::ResponseChoice::Recover, &Silent);
         assert!(error.unwrap_err().to_string().contains("12 photographs"), "they are not measured yet");
     }
+}
+
+/// The files of a camera whose clock is an hour and a quarter of a second late.
+fn develop(session: &Session, folder: &Path) {
+    fs::create_dir(folder).unwrap();
+    for (index, exposed) in session.waiting().iter().enumerate() {
+        let at = exposed.at + Duration::from_millis(3_600_250);
+        let mut bytes = vec![];
+        let mut encoder = image::codecs::png::PngEncoder::new(&mut bytes);
+        encoder.set_exif_metadata(exif::block(exposed.asked_exposure_s, Some(at))).unwrap();
+        encoder.write_image(&[index as u8 * 20; 12], 2, 2, image::ExtendedColorType::Rgb8).unwrap();
+        fs::write(folder.join(format!("dsc{index:04}.png")), bytes).unwrap();
+    }
+}
+
+#[test]
+fn what_a_camera_kept_is_collected_whatever_interrupts_it() {
+    let folder = fast();
+    let (path, card) = (folder.path().join("s"), folder.path().join("card"));
+    let mut session = Session::create(&path, manifest()).unwrap();
+    complete(&mut session, true).unwrap();
+    develop(&session, &card);
+    let originals = files(&card);
+    // One is missing: it cannot be known which, so nothing comes.
+    let journal = fs::read(path.join("journal.jsonl")).unwrap();
+    fs::rename(card.join("dsc0005.png"), folder.path().join("missing.png")).unwrap();
+    let message = collect(&mut session, &card, &Silent).unwrap_err().to_string();
+    assert!(message.contains("12 photographs") && message.contains("11 files"), "{message}");
+    assert_eq!(fs::read(path.join("journal.jsonl")).unwrap(), journal);
+    assert_eq!(fs::read_dir(path.join("photographs")).unwrap().count(), 0);
+    fs::rename(folder.path().join("missing.png"), card.join("dsc0005.png")).unwrap();
+
+    assert_eq!(collect(&mut session, &card, &Silent).unwrap(), 12);
+    drop(session);
+    assert!(files(&card) == originals, "the originals are as they were");
+    let whole = content(&path);
+    assert_eq!(whole.1.len(), 12);
+    for (index, original) in originals.values().enumerate() {
+        let copy = format!("photographs/view{:03}_{}.png", index / 4, index % 4);
+        assert_eq!(whole.0[Path::new(&copy)], *original);
+    }
+    let all = fs::read(path.join("journal.jsonl")).unwrap();
+    for cut in (journal.len()..all.len()).step_by(101) {
+        fs::write(path.join("journal.jsonl"), &all[..cut]).unwrap();
+        let mut session = Session::open(&path).unwrap();
+        let waiting = session.waiting().len();
+        assert_eq!(collect(&mut session, &card, &Silent).unwrap(), waiting);
+        assert_eq!(complete(&mut session, true).unwrap(), 0, "nothing is exposed again");
+        drop(session);
+        assert!(content(&path) == whole, "cut at byte {cut}");
+    }
+    let message = collect(&mut Session::open(&path).unwrap(), &card, &Silent).unwrap_err().to_string();
+    assert!(message.contains("waits for no photographs"), "{message}");
 }

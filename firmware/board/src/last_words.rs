@@ -54,11 +54,6 @@ fn panic(info: &PanicInfo<'_>) -> ! {
         add(&mut words, b":");
         add_number(&mut words, place.line(), 10);
     }
-    // Texts with numbers in them would cost the formatting of everything: 5 KB.
-    if let Some(text) = info.message().as_str() {
-        add(&mut words, b" ");
-        add(&mut words, text.as_bytes());
-    }
     end(words)
 }
 

@@ -61,8 +61,8 @@ pub async fn run(mut controller: Controller, mut pins: impl Pins, mut last_words
             }
             Either::Second(()) => {}
         }
-        while controller.next_us().is_some_and(|us| us <= now_us()) {
-            if let Some(event) = controller.advance(now_us(), &mut pins) {
+        while let Some(due_us) = controller.next_us().filter(|&due_us| due_us <= now_us()) {
+            if let Some(event) = controller.advance(done_us(due_us), &mut pins) {
                 say(event);
             }
         }
@@ -78,3 +78,12 @@ fn say(answer: Answer) {
 pub fn now_us() -> u64 {
     Instant::now().as_micros()
 }
+
+/// When what is due at `due_us` is done: now, at last.
+#[cfg(not(feature = "emulator"))]
+fn done_us(_due_us: u64) -> u64 {
+    now_us()
+}
+
+#[cfg(feature = "emulator")]
+use crate::emulator::done_us;

@@ -10,6 +10,8 @@ pub(crate) struct Conversation {
     latest: u16,
     /// What was replied to the latest request.
     reply: Option<Reply>,
+    /// The request that the tracker's owner was given.
+    with_tracker: u16,
 }
 
 /// What is to be done with a request.
@@ -27,7 +29,7 @@ pub(crate) enum Verdict {
 
 impl Conversation {
     pub const fn new() -> Self {
-        Self { number: None, former: None, latest: 0, reply: None }
+        Self { number: None, former: None, latest: 0, reply: None, with_tracker: 0 }
     }
 
     /// Hears a hello; whether it opens a new conversation.
@@ -42,6 +44,7 @@ impl Conversation {
             }
             return false;
         }
+        self.with_tracker = 0;
         self.former = self.number;
         self.number = Some(conversation);
         (self.latest, self.reply) = (sequence, None);
@@ -67,10 +70,23 @@ impl Conversation {
         Verdict::New
     }
 
-    /// Remembers what was replied to the latest request; its sequence number.
-    pub fn remember(&mut self, reply: &Reply) -> u16 {
+    /// Remembers what was replied to the latest request.
+    pub fn remember(&mut self, reply: &Reply) {
         self.reply = Some(reply.clone());
-        self.latest
+    }
+
+    /// The latest request goes to the tracker's owner, who may take his time to reply.
+    pub fn pass_to_tracker(&mut self) {
+        self.with_tracker = self.latest;
+    }
+
+    /// Remembers what the tracker's owner replied, if nothing was asked since; the sequence number of his request, 0
+    /// when an earlier conversation made it.
+    pub fn remember_tracker(&mut self, reply: &Reply) -> u16 {
+        if self.with_tracker == self.latest {
+            self.remember(reply);
+        }
+        self.with_tracker
     }
 
     fn is_newer(&self, sequence: u16) -> bool {

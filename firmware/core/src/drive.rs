@@ -116,7 +116,7 @@ impl Drive {
             let (readings, moves) = (&mut self.pressed[axis as usize], moves[axis as usize] != 0);
             *readings = if moves && pins.is_switch_pressed(axis) { readings.saturating_add(1) } else { 0 };
         }
-        let planned_us = self.motion.next_us();
+        let planned_us = self.due_us - self.start_us;
         for (axis, step) in AXES.into_iter().zip(self.motion.step()) {
             if step != 0 {
                 pins.step(axis);

@@ -14,6 +14,8 @@ mod continuity;
 mod driver;
 mod ladder;
 mod parser;
+#[cfg(test)]
+mod tests;
 mod turn;
 mod watch;
 

@@ -20,6 +20,8 @@ pub enum Verb {
     Demo(Demo),
     /// Photograph a surface from many directions: a rig and a camera make a session
     Capture(Capture),
+    /// Bring the photographs that a captured session's camera kept into the session
+    Collect(Collect),
     /// List what is attached: serial ports and whether a rig answers there, cameras
     Devices,
     /// Work with a rig on the bench: home, move, status, watch
@@ -54,8 +56,9 @@ pub struct Capture {
     /// The rig: `simulated`, or its serial port, such as /dev/ttyACM0
     #[arg(long, default_value = "simulated")]
     pub rig: String,
-    /// The camera
-    #[arg(long, value_enum, default_value = "simulated")]
+    /// The camera: `simulated`; `webcam` or `webcam:NUMBER`; `trigger`, which the rig releases and whose photographs are
+    /// collected afterwards, or `trigger:FOLDER`, where they appear; `folder:FOLDER`, which somebody else fills
+    #[arg(long, default_value = "simulated", value_parser = CameraChoice::parse)]
     pub camera: CameraChoice,
     /// How directions are chosen
     #[arg(long, value_enum, default_value = "icosphere")]
@@ -72,7 +75,7 @@ pub struct Capture {
     /// The first exposure time of each view, seconds; it is halved until no pixel is saturated
     #[arg(long = "longest-exposure-time", value_name = "SECONDS", default_value_t = 1.0)]
     pub longest_exposure_time_s: f64,
-    /// Print views, time and disk space; move and photograph nothing
+    /// Print views, time and disk space, from a rehearsal on the rig's own firmware; move and photograph nothing
     #[arg(long)]
     pub dry_run: bool,
     /// Go on with a session that was interrupted, in whatever way (its own views are kept)
@@ -84,10 +87,43 @@ pub struct Capture {
     pub verify: bool,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
+#[derive(Args)]
+pub struct Collect {
+    /// Folder of the session
+    pub session: PathBuf,
+    /// Folder of the photographs, every one of the session and no other; they are copied
+    pub photographs: PathBuf,
+}
+
+#[derive(Debug, Clone, PartialEq)]
 pub enum CameraChoice {
     /// Renders a patchwork of known materials where the rig really is
     Simulated,
+    /// A webcam by its number
+    Webcam(u32),
+    /// A camera that the rig releases, and the folder where its photographs appear
+    Trigger(Option<PathBuf>),
+    /// A folder that somebody else fills
+    Folder(PathBuf),
+}
+
+impl CameraChoice {
+    fn parse(text: &str) -> Result<Self, String> {
+        let (kind, which) = text.split_once(':').map_or((text, None), |(kind, which)| (kind, Some(which)));
+        match (kind, which) {
+            ("simulated", None) => Ok(Self::Simulated),
+            ("webcam", which) => which
+                .unwrap_or("0")
+                .parse()
+                .map(Self::Webcam)
+                .map_err(|_| "a webcam has a number, such as webcam:0".into()),
+            ("trigger", which) if which != Some("") => Ok(Self::Trigger(which.map(PathBuf::from))),
+            ("folder", Some(which)) if !which.is_empty() => Ok(Self::Folder(which.into())),
+            _ => {
+                Err("give simulated, webcam, webcam:NUMBER, trigger, trigger:FOLDER or folder:FOLDER".into())
+            }
+        }
+    }
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -285,4 +321,29 @@ pub struct Evaluate {
     /// Folder for errors.csv and the pictures [default: the map's name with -errors, beside it]
     #[arg(long)]
     pub out: Option<PathBuf>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cameras_are_named_by_kind_and_place() {
+        let folder = PathBuf::from("a:b");
+        for (text, choice) in [
+            ("simulated", CameraChoice::Simulated),
+            ("webcam", CameraChoice::Webcam(0)),
+            ("webcam:2", CameraChoice::Webcam(2)),
+            ("trigger", CameraChoice::Trigger(None)),
+            ("trigger:a:b", CameraChoice::Trigger(Some(folder.clone()))),
+            ("folder:a:b", CameraChoice::Folder(folder)),
+        ] {
+            assert_eq!(CameraChoice::parse(text), Ok(choice), "{text}");
+        }
+        for text in
+            ["", "webcam:", "webcam:-1", "webcam:a", "trigger:", "folder", "folder:", "simulated:1", "leica"]
+        {
+            assert!(CameraChoice::parse(text).is_err(), "{text}");
+        }
+    }
 }

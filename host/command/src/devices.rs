@@ -1,11 +1,15 @@
 //! The rig and the camera that the user named.
 
 use std::cell::Cell;
+use std::path::Path;
 use std::rc::Rc;
+use std::time::Duration;
 
 use rigel::camera::Camera;
+use rigel::camera::folder::FolderCamera;
+use rigel::camera::trigger::{Shutter, TriggerCamera};
 use rigel::geometry::{Lens, Surface};
-use rigel::rig::{Reached, Rig, RigLimits, SerialRig};
+use rigel::rig::{Reached, Rig, RigLimits, SerialRig, TriggerLine};
 use rigel::session::Session;
 use rigel::{Error, Result};
 use rigel_simulated::camera::{Options, SimulatedCamera};
@@ -22,6 +26,11 @@ const MOUNT_ERROR_RAD: f64 = 0.0004;
 /// Exposure time that puts the even sheet of the simulated camera in the middle of its range, seconds.
 const FLAT_EXPOSURE_S: f64 = 0.004;
 
+/// How long a camera and its program may take to store a photograph.
+const STORING: Duration = Duration::from_secs(20);
+/// How long somebody may take for the next photograph.
+const BY_HAND: Duration = Duration::from_secs(120);
+
 /// Where the surface is, pan and tilt in radians, as the simulated camera sees it.
 type Position = Box<dyn Fn() -> (f64, f64)>;
 
@@ -29,27 +38,42 @@ type Position = Box<dyn Fn() -> (f64, f64)>;
 pub struct Devices {
     pub rig: Box<dyn Rig>,
     pub camera: Box<dyn Camera>,
+    /// Of the simulated camera alone the place and the lens are known before they are measured.
+    pub known: Option<Known>,
+    /// The simulated rig is unplugged when this is dropped.
+    _simulated: Option<SimulatedRig>,
+}
+
+/// What is known of a simulated camera and the surface before it.
+pub struct Known {
     pub lens: Lens,
     pub surface: Surface,
     pub distance_m: f64,
     /// Photographs the even sheet.
     sheet: SimulatedCamera<Position>,
-    /// The simulated rig is unplugged when this is dropped.
-    _simulated: Option<SimulatedRig>,
 }
 
 impl Devices {
-    /// Opens the rig, `simulated` or at a port, and a camera. Nothing moves before the first view. In front of a real rig the
-    /// simulated camera sees the surface where the rig reports to be.
+    /// Opens the rig, `simulated` or at a port, and a camera for a session in this folder. Nothing moves yet: the first move
+    /// homes the rig. In front of a real rig the simulated camera sees the surface where the rig reports to be.
     ///
     /// # Errors
-    /// [`Error::Device`] when the rig does not answer, [`Error::Request`] when rig and camera do not go together.
-    pub fn open(rig: &str, camera: CameraChoice) -> Result<Self> {
-        let CameraChoice::Simulated = camera;
+    /// [`Error::Device`] when the rig or the camera does not answer, [`Error::Io`] when a camera's folder cannot be read.
+    pub fn open(rig: &str, camera: &CameraChoice, session: &Path) -> Result<Self> {
+        let opened = match camera {
+            CameraChoice::Webcam(index) => Some(webcam(*index)?),
+            CameraChoice::Folder(folder) => {
+                let taken = session.join("photographs");
+                Some(Box::new(FolderCamera::open(folder, &taken, BY_HAND)?) as Box<dyn Camera>)
+            }
+            _ => None,
+        };
+        let line: TriggerLine;
         let (rig, position, simulated): (Box<dyn Rig>, Position, _) = if rig == "simulated" {
             let simulated = simulated_rig()?;
             let position = simulated.position();
             let rig = greet(simulated.port_name())?;
+            line = rig.trigger_line();
             let where_it_is = move || {
                 let now = position.now();
                 (now.pan_rad, now.tilt_rad)
@@ -58,20 +82,20 @@ impl Devices {
         } else {
             let rig = Reporting { rig: greet(rig)?, at: Rc::default() };
             let at = rig.at.clone();
+            line = rig.rig.trigger_line();
             (Box::new(rig), Box::new(move || at.get()), None)
         };
-        let (scene, options) = (Scene::patchwork(), Options::default());
-        let surface = scene.surface();
-        let sheet = Options { seed: options.seed + 1, ..options };
-        Ok(Self {
-            rig,
-            camera: Box::new(SimulatedCamera::new(scene, options, position)),
-            lens: options.lens,
-            surface,
-            distance_m: options.distance_m,
-            sheet: SimulatedCamera::new(Scene::patchwork(), sheet, Box::new(|| (0.0, 0.0))),
-            _simulated: simulated,
-        })
+        let (camera, known): (Box<dyn Camera>, _) = match (camera, opened) {
+            (_, Some(camera)) => (camera, None),
+            (CameraChoice::Trigger(folder), _) => {
+                (Box::new(TriggerCamera::new(shutter(line), folder.as_deref(), STORING)?), None)
+            }
+            _ => {
+                let (camera, known) = simulated_camera(position);
+                (Box::new(camera), Some(known))
+            }
+        };
+        Ok(Self { rig, camera, known, _simulated: simulated })
     }
 
     /// What the session's manifest says of them.
@@ -79,21 +103,55 @@ impl Devices {
         format!("{}; {}", self.rig.describe(), self.camera.describe())
     }
 
-    /// Photographs an even sheet for the vignetting, into the session's folder: all of them or none.
+    /// Photographs an even sheet for the vignetting, into the session's folder: all of them or none. Before a real camera
+    /// nobody has put one.
     ///
     /// # Errors
     /// [`Error::Io`] when the folder cannot be written.
     pub fn photograph_flats(&mut self, session: &mut Session) -> Result<()> {
+        let Some(known) = &mut self.known else { return Ok(()) };
         session.adopt("flats", |folder| {
             std::fs::create_dir(folder).map_err(Error::io("create", folder))?;
             for index in 0..3 {
                 let stem = folder.join(format!("flat{index}"));
-                self.sheet.photograph_even_sheet(FLAT_EXPOSURE_S, &stem)?;
+                known.sheet.photograph_even_sheet(FLAT_EXPOSURE_S, &stem)?;
             }
             Ok(Some((folder.to_path_buf(), ())))
         })?;
         Ok(())
     }
+}
+
+fn simulated_camera(position: Position) -> (SimulatedCamera<Position>, Known) {
+    let (scene, options) = (Scene::patchwork(), Options::default());
+    let sheet = Options { seed: options.seed + 1, ..options };
+    let known = Known {
+        lens: options.lens,
+        surface: scene.surface(),
+        distance_m: options.distance_m,
+        sheet: SimulatedCamera::new(Scene::patchwork(), sheet, Box::new(|| (0.0, 0.0))),
+    };
+    (SimulatedCamera::new(scene, options, position), known)
+}
+
+#[cfg(feature = "webcam")]
+fn webcam(index: u32) -> Result<Box<dyn Camera>> {
+    Ok(Box::new(rigel::camera::webcam::Webcam::open(index)?))
+}
+
+#[cfg(not(feature = "webcam"))]
+fn webcam(_: u32) -> Result<Box<dyn Camera>> {
+    Err(Error::request("this rigel was built without webcams", "build it with `--features webcam`"))
+}
+
+/// The rig's contact, as a camera knows it.
+fn shutter(line: TriggerLine) -> Shutter {
+    Box::new(move |exposure_s| {
+        let exposed = line.expose(&[exposure_s])?;
+        exposed.first().map(|exposed| exposed.at).ok_or_else(|| {
+            Error::request("the rig tells of no photograph", "start again, and report this if it comes again")
+        })
+    })
 }
 
 /// A rig that is not there.

@@ -20,6 +20,7 @@ fn main() -> ExitCode {
     let outcome = match arguments.verb {
         Verb::Demo(arguments) => verbs::demo(&arguments),
         Verb::Capture(arguments) => verbs::capture(&arguments),
+        Verb::Collect(arguments) => verbs::collect(&arguments),
         Verb::Devices => verbs::devices(),
         Verb::Rig(arguments) => verbs::rig(&arguments),
         Verb::Tracker(arguments) => verbs::tracker(&arguments),

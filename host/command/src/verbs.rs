@@ -7,7 +7,7 @@ mod fit;
 mod import;
 
 pub use bench::{devices, rig, tracker};
-pub use capture::capture;
+pub use capture::{capture, collect};
 pub use demo::demo;
 pub use fit::{evaluate, fit, render};
 pub use import::{import, observe, radiance};

@@ -125,39 +125,34 @@ pub struct FolderCamera {
     inbox: Inbox,
     wait: Duration,
     last: Option<CameraFile>,
-    /// What is already where the photographs go; found out with the first of them.
-    taken: Option<HashMap<u64, PathBuf>>,
+    /// What was taken, by its content.
+    taken: HashMap<u64, PathBuf>,
 }
 
 impl FolderCamera {
     /// A folder whose photographs, those that are there and those that will come, are taken in the order of their names. Each
-    /// may take `wait` to come.
+    /// may take `wait` to come. Copies of what is in the folder `taken` were taken before an interruption: they are not taken
+    /// again.
     ///
     /// # Errors
-    /// [`Error::Io`] when the folder cannot be read.
-    pub fn open(folder: &Path, wait: Duration) -> Result<Self> {
-        Ok(Self { inbox: Inbox::new(folder)?, wait, last: None, taken: None })
-    }
-
-    /// After an interruption the folder still holds what was taken before: that is not taken again.
-    fn ignore_what_is_at(&mut self, stem: &Path) -> Result<&mut HashMap<u64, PathBuf>> {
-        if self.taken.is_none() {
-            let mut taken = HashMap::new();
-            for path in list(stem.parent().unwrap_or(Path::new(".")))?.0 {
-                // What is damaged there is taken again.
-                if let Ok(file) = CameraFile::read(&path) {
-                    taken.insert(file.content, path);
-                }
+    /// [`Error::Io`] when a folder cannot be read.
+    pub fn open(folder: &Path, taken: &Path, wait: Duration) -> Result<Self> {
+        let mut inbox = Inbox::new(folder)?;
+        let mut contents = HashMap::new();
+        for path in if taken.is_dir() { list(taken)?.0 } else { vec![] } {
+            // What is damaged there is taken again.
+            if let Ok(file) = CameraFile::read(&path) {
+                contents.insert(file.content, path);
             }
-            for path in self.inbox.new_files()? {
-                let Ok(file) = CameraFile::read(&path) else { continue };
-                if taken.contains_key(&file.content) {
-                    self.inbox.known.insert(path);
-                }
-            }
-            self.taken = Some(taken);
         }
-        Ok(self.taken.get_or_insert_default())
+        if !contents.is_empty() {
+            for path in inbox.new_files()? {
+                if CameraFile::read(&path).is_ok_and(|file| contents.contains_key(&file.content)) {
+                    inbox.known.insert(path);
+                }
+            }
+        }
+        Ok(Self { inbox, wait, last: None, taken: contents })
     }
 }
 
@@ -176,9 +171,8 @@ impl Camera for FolderCamera {
     /// Beside those of every camera, [`Error::Input`] naming the file when its exposure time is further than a third of a stop
     /// from `exposure_s`, when it was taken before the one that came last, or when it is a copy of an earlier one.
     fn photograph(&mut self, exposure_s: f64, stem: &Path) -> Result<Shot> {
-        self.ignore_what_is_at(stem)?;
         let file = self.inbox.wait(self.wait, |new| Ok(new.into_iter().next()))?;
-        if let Some(earlier) = self.ignore_what_is_at(stem)?.get(&file.content) {
+        if let Some(earlier) = self.taken.get(&file.content) {
             return Err(Error::input(
                 &file.path,
                 format!("is the same photograph as {}", earlier.display()),
@@ -198,7 +192,7 @@ impl Camera for FolderCamera {
             ));
         }
         let target = self.inbox.take(&file, stem)?;
-        self.ignore_what_is_at(stem)?.insert(file.content, file.path.clone());
+        self.taken.insert(file.content, file.path.clone());
         self.last = Some(file);
         Ok(Shot::Taken(Taken { file: target, exposure_s }))
     }

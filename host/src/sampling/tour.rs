@@ -29,7 +29,7 @@ pub struct Stop {
 /// takes those that suit it, within the limits.
 ///
 /// # Errors
-/// A view that the rig cannot show: its number and angles are named.
+/// Views that the rig cannot show: the numbers and angles of all of them are named.
 pub fn tour(views: &[DVec3], limits: &RigLimits) -> Result<Vec<Stop>> {
     let choices = all_choices(views, limits)?;
     let given: Vec<usize> = (0..views.len()).collect();
@@ -73,14 +73,24 @@ fn all_choices(views: &[DVec3], limits: &RigLimits) -> Result<Vec<Vec<[f64; 2]>>
         found.retain(|&[pan_rad, tilt_rad]| limits.contains(pan_rad, tilt_rad));
         if found.is_empty() {
             let (pan, tilt) = (pan_rad.to_degrees(), tilt_rad.to_degrees());
-            return Err(Error::request(
-                format!("the rig cannot show view {number} (pan {pan:.2}°, tilt {tilt:.2}°)"),
-                "choose a smaller zenith limit or a rig that reaches further",
-            ));
+            return Err(format!("view {number} (pan {pan:.2}°, tilt {tilt:.2}°)"));
         }
         Ok(found)
     };
-    views.iter().enumerate().map(reachable).collect()
+    let (mut choices, mut beyond) = (vec![], vec![]);
+    for view in views.iter().enumerate() {
+        match reachable(view) {
+            Ok(found) => choices.push(found),
+            Err(view) => beyond.push(view),
+        }
+    }
+    if beyond.is_empty() {
+        return Ok(choices);
+    }
+    Err(Error::request(
+        format!("the rig cannot show {}", beyond.join(", ")),
+        "choose a smaller zenith limit or a rig that reaches further",
+    ))
 }
 
 /// The shortest way through the choices of an order of views (dynamic programming: exact).

@@ -4,7 +4,9 @@
 use std::path::Path;
 
 use rigel::session::{Journal, Manifest};
+use rigel_firmware_core::isotrak::{Driver, Layout, Parser, Rejected, TrackerOutput};
 use rigel_protocol::{Answer, Decoder, LARGEST_FRAME, LARGEST_PAYLOAD, Request, encode, frame};
+use rigel_protocol::{Format, Orientation, Output, Record, Tracking};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -110,4 +112,97 @@ pub fn manifest(bytes: &[u8]) {
     let _ = manifest.surface();
     let written = toml::to_string(&manifest).expect("a manifest is plain data");
     assert_eq!(Manifest::parse(&written, path).expect("what was written is read"), manifest);
+}
+
+/// The tracker's parser and driver, on any bytes: every byte is accounted for, every whole record gets one verdict, and what
+/// is accepted stands on the line as it is given out.
+pub fn tracker(bytes: &[u8]) {
+    let Some((&kind, stream)) = bytes.split_first() else { return };
+    let layout = Layout {
+        format: if kind & 1 == 0 { Format::Ascii } else { Format::Binary },
+        output: if kind & 2 == 0 { Output::Quaternion } else { Output::Euler },
+        twice: kind & 4 != 0,
+    };
+    let stations = 1 + (kind >> 3 & 1);
+    // A byte takes 87 microseconds, and records begin about sixty times per second.
+    let mut at_us = 0;
+    let stamps: Vec<u64> = stream
+        .iter()
+        .enumerate()
+        .map(|(i, byte)| {
+            let begins = match layout.format {
+                Format::Ascii => i > 0 && stream[i - 1] == b'\n',
+                Format::Binary => byte & 0x80 != 0,
+            };
+            at_us += if begins { 12_000 } else { 87 };
+            at_us
+        })
+        .collect();
+    let mut parser = Parser::new(layout, stations);
+    let mut verdicts = vec![];
+    for (&byte, &at_us) in stream.iter().zip(&stamps) {
+        verdicts.extend(parser.push(byte, at_us));
+    }
+    verdicts.extend(parser.advance(at_us + 1_000_000));
+    verdicts.extend(parser.finish());
+    let broken = verdicts.iter().filter(|verdict| {
+        use Rejected::{Column, Copies, Header, Norm, Range};
+        matches!(verdict, Err(Header | Column | Copies | Range | Norm))
+    });
+    let whole = parser.whole_records() as usize;
+    let ended = whole + broken.count();
+    assert_eq!(verdicts.len(), ended, "every record of the right length gets one verdict");
+    assert_eq!(stream.len(), parser.skipped_bytes() as usize + ended * layout.length());
+    for record in verdicts.into_iter().flatten() {
+        let start = stamps.binary_search(&record.at_us).expect("the stamp of a byte");
+        stands(&stream[start..start + layout.length()], layout, stations, &record);
+    }
+    drive(bytes, stations, layout);
+}
+
+/// Whether these bytes are that record; characters are read by other means than the parser's.
+fn stands(wire: &[u8], layout: Layout, stations: u8, record: &Record) {
+    assert!((1..=stations).contains(&record.station) && record.count == 0);
+    assert!(record.position_um.iter().all(|p| p.abs() <= 1_663_200));
+    let norm = match record.orientation {
+        Orientation::Quaternion(q) => q.iter().map(|&q| (f64::from(q) * 1e-6).powi(2)).sum::<f64>(),
+        Orientation::Euler([azimuth, elevation, roll]) => {
+            assert!(azimuth.abs() <= 180_000 && elevation.abs() <= 90_000 && roll.abs() <= 180_000);
+            1.0
+        }
+    };
+    assert!((norm - 1.0).abs() < 1e-3, "{norm}");
+    if layout.format == Format::Ascii {
+        let text = std::str::from_utf8(&wire[3..]).expect("columns are characters");
+        let column = |i: usize| text[7 * i..7 * i + 7].trim().parse::<f64>().expect("a column is a number");
+        assert_eq!((wire[0], wire[1], wire[2]), (b'0', b'0' + record.station, record.status));
+        assert!((0..3).all(|i| (column(i) * 1e4).round() as i32 == record.position_um[i]));
+    }
+}
+
+/// The driver, with whatever comes whenever.
+fn drive(bytes: &[u8], stations: u8, layout: Layout) {
+    let mut driver = Driver::new();
+    let tracking = Tracking { stations, format: layout.format, output: layout.output };
+    driver.track(tracking, 7, 0).expect("one station or two");
+    let (mut now_us, mut records, mut rest) = (0, 0, bytes);
+    while let Some((&step, after)) = rest.split_first() {
+        let (heard, after) = after.split_at(after.len().min(usize::from(step & 0x3f)));
+        driver.bytes(heard, now_us);
+        rest = after;
+        // From nothing to four seconds.
+        now_us += 87 * heard.len() as u64 + [0, 16_000, 300_000, 4_000_000][usize::from(step >> 6)];
+        for turn in 0.. {
+            assert!(turn < 100, "it comes to an end");
+            match driver.advance(now_us) {
+                None => break,
+                Some(TrackerOutput::Record(record)) => {
+                    assert_eq!((record.count, driver.sequence()), (records, 7));
+                    records += 1;
+                }
+                Some(_) => {}
+            }
+        }
+        assert_eq!(driver.status().forwarded, records);
+    }
 }

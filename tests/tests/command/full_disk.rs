@@ -4,9 +4,10 @@
 
 mod common;
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use common::{IMPORT, assert_refused, assert_untouched, rigel, snapshot, succeed, workshop};
@@ -102,6 +103,56 @@ fn where_the_disk_is_full() {
         let mut filler = fs::File::create(disk.0.join("filler")).unwrap();
         while filler.write_all(&[1; 4096]).is_ok() {}
         hold(case, disk.0, "free some space", |mut command| command.output().unwrap());
+    }
+}
+
+const CAPTURE: [&str; 8] =
+    ["capture", "session", "--sampling", "spiral", "--views", "3", "--longest-exposure-time", "0.02"];
+
+/// Every photograph of a session, and what is left beside them of half-done work.
+fn photographs(folder: &Path) -> BTreeMap<PathBuf, Option<Vec<u8>>> {
+    let all = snapshot(&folder.join("session")).into_iter();
+    let inside = all.map(|(path, bytes)| (path.strip_prefix(folder).unwrap().to_path_buf(), bytes));
+    inside.filter(|(path, _)| !path.ends_with("journal.jsonl") && !path.ends_with("session.toml")).collect()
+}
+
+/// Goes on once there is space, and the session is as if there had always been.
+fn goes_on(folder: &Path, undisturbed: &BTreeMap<PathBuf, Option<Vec<u8>>>) {
+    let begun = folder.join("session/session.toml").exists();
+    succeed(folder, if begun { &["capture", "session", "--resume"] } else { &CAPTURE });
+    assert_untouched("a resumed capture", undisturbed, &photographs(folder));
+}
+
+/// At whatever the disk is full, a photograph, a flat, or the journal: what was taken is kept.
+#[test]
+fn a_capture_on_a_disk_that_fills_goes_on_when_there_is_space() {
+    let whole = tempfile::tempdir().unwrap();
+    succeed(whole.path(), &CAPTURE);
+    let undisturbed = photographs(whole.path());
+
+    // No file may be larger than eight kilobytes: photographs are.
+    let place = tempfile::tempdir().unwrap();
+    let mut limited = Command::new("bash");
+    limited.args(["-c", "trap '' XFSZ; ulimit -f 8; exec \"$0\" \"$@\""]).arg(env!("CARGO_BIN_EXE_rigel"));
+    let output = limited.args(CAPTURE).current_dir(place.path()).output().unwrap();
+    assert_refused("a capture of large photographs", &output, &["session", "ulimit -f"]);
+    goes_on(place.path(), &undisturbed);
+
+    for room_kib in [12, 28, 44, 60, 76, 92] {
+        let place = tempfile::tempdir().unwrap();
+        let mount =
+            Command::new("mount").args(["-t", "tmpfs", "-o", "size=1m", "tmpfs"]).arg(place.path()).output();
+        if !mount.is_ok_and(|output| output.status.success()) {
+            eprintln!("skipped: only root may mount a small disk");
+            return;
+        }
+        let disk = Disk(place.path());
+        let filler = disk.0.join("filler");
+        fs::write(&filler, vec![1; (1024 - room_kib) * 1024]).unwrap();
+        let output = rigel(disk.0, &CAPTURE).output().unwrap();
+        assert_refused(&format!("a capture with {room_kib} KiB"), &output, &["session", "free some space"]);
+        fs::remove_file(filler).unwrap();
+        goes_on(disk.0, &undisturbed);
     }
 }
 

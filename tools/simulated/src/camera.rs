@@ -4,13 +4,14 @@
 mod sensor;
 
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 use glam::{DVec2, DVec3};
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 use rayon::prelude::*;
-use rigel::camera::{Camera, Shot, Taken};
+use rigel::camera::{Camera, Shot, Taken, exif};
 use rigel::file::write_bytes;
 use rigel::geometry::{Lens, Pose};
 use rigel::radiance::RadianceImage;
@@ -239,7 +240,8 @@ impl<R: Fn() -> (f64, f64)> Camera for SimulatedCamera<R> {
         }
         let ticks = (exposure_s / TICK_S).round();
         let levels = self.expose(ticks * TICK_S, number_of(stem));
-        let exif = exif_with_exposure(ticks as u32);
+        // Without a time: equal photographs are equal files.
+        let exif = exif::block(ticks * TICK_S, None);
         let (extension, bytes) = self.eye.encode(&levels, exif)?;
         // `with_extension` would cut a stem such as "view.3" short.
         let mut file = stem.as_os_str().to_os_string();
@@ -262,6 +264,23 @@ fn number_of(stem: &Path) -> u64 {
         .fold(0xcbf2_9ce4_8422_2325, |hash, &byte| (hash ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3))
 }
 
+/// Writes a small JPEG photograph of a grey wedge as a camera does that is released by a contact: with its exposure time and
+/// when the exposure began, by the camera's clock, in its EXIF block.
+///
+/// # Errors
+/// [`Error::Io`] when it cannot be written.
+pub fn write_photograph(path: &Path, exposure_s: f64, at: SystemTime) -> Result<()> {
+    const WIDTH: u32 = 64;
+    const HEIGHT: u32 = 48;
+    let level = |x: u32| response(f64::from(x + 1) / f64::from(WIDTH) * exposure_s).round() as u8;
+    let levels: Vec<u8> = (0..WIDTH * HEIGHT).flat_map(|pixel| [level(pixel % WIDTH); 3]).collect();
+    let mut bytes = vec![];
+    let exif = exif::block(exposure_s, Some(at));
+    encode_with(JpegEncoder::new_with_quality(&mut bytes, 95), exif, &levels, WIDTH, HEIGHT)
+        .map_err(|error| Error::request(format!("cannot be encoded ({error})"), "report this").about(path))?;
+    write_bytes(path, &bytes)
+}
+
 fn encode_with(
     mut encoder: impl ImageEncoder,
     exif: Vec<u8>,
@@ -271,27 +290,6 @@ fn encode_with(
 ) -> image::ImageResult<()> {
     encoder.set_exif_metadata(exif).map_err(image::ImageError::Unsupported)?;
     encoder.write_image(levels, width, height, ExtendedColorType::Rgb8)
-}
-
-/// The smallest EXIF block that tells an exposure time: a directory that points to one with one rational number.
-fn exif_with_exposure(ticks: u32) -> Vec<u8> {
-    const LONG: u16 = 4;
-    const RATIONAL: u16 = 5;
-    let directory = |tag: u16, kind: u16, value: u32| {
-        let mut bytes = 1u16.to_le_bytes().to_vec();
-        bytes.extend(tag.to_le_bytes());
-        bytes.extend(kind.to_le_bytes());
-        bytes.extend(1u32.to_le_bytes());
-        bytes.extend(value.to_le_bytes());
-        bytes.extend(0u32.to_le_bytes());
-        bytes
-    };
-    let mut exif = b"II\x2a\0\x08\0\0\0".to_vec();
-    exif.extend(directory(0x8769, LONG, 26)); // the EXIF directory, which follows this one
-    exif.extend(directory(0x829a, RATIONAL, 44)); // ExposureTime, whose value follows the directories
-    exif.extend(ticks.to_le_bytes());
-    exif.extend(((1.0 / TICK_S).round() as u32).to_le_bytes());
-    exif
 }
 
 fn vignetting(lens: &Lens, pixel: DVec2) -> f64 {
@@ -478,11 +476,8 @@ mod tests {
             assert!((taken.exposure_s - 0.01234).abs() < 1e-9);
             let name = taken.file.file_name().unwrap().to_str().unwrap();
             assert_eq!(name, if jpeg_quality.is_some() { "view.7.jpg" } else { "view.7.png" });
-            let mut reader = std::io::BufReader::new(fs::File::open(&taken.file).unwrap());
-            let exif = exif::Reader::new().read_from_container(&mut reader).unwrap();
-            let field = exif.get_field(exif::Tag::ExposureTime, exif::In::PRIMARY).unwrap();
-            let exif::Value::Rational(time) = &field.value else { panic!("{field:?}") };
-            assert!((time[0].to_f64() - taken.exposure_s).abs() < 1e-9);
+            let told = exif::read(&taken.file).unwrap();
+            assert!((told.exposure_s.unwrap() - taken.exposure_s).abs() < 1e-9);
             let picture = image::open(&taken.file).unwrap().to_rgb8();
             let mut again = SimulatedCamera::new(Scene::patchwork(), options, rig_at(0.0, 0.3));
             let levels = again.levels(taken.exposure_s);
@@ -505,6 +500,22 @@ mod tests {
         let first = photograph(&mut camera, "view000_1");
         assert_ne!(photograph(&mut camera, "view000_2"), first, "another one has other noise");
         assert_eq!(photograph(&mut camera, "view000_1"), first);
+    }
+
+    #[test]
+    fn a_photograph_of_a_released_camera_tells_its_time_and_shows_its_exposure() {
+        let folder = tempfile::tempdir().unwrap();
+        let mean = |exposure_s: f64| {
+            let path = folder.path().join(format!("{exposure_s}.jpg"));
+            let at = SystemTime::UNIX_EPOCH + std::time::Duration::from_millis(1_790_000_000_250);
+            write_photograph(&path, exposure_s, at).unwrap();
+            let told = exif::read(&path).unwrap();
+            assert!((told.exposure_s.unwrap() - exposure_s).abs() < 1e-6);
+            assert!((told.taken.unwrap().clock_s - 1_790_000_000.25).abs() < 1e-6);
+            let picture = image::open(path).unwrap().to_luma8();
+            picture.iter().map(|&level| f64::from(level)).sum::<f64>() / picture.len() as f64
+        };
+        assert!(mean(0.002) < mean(0.004) && mean(0.004) < mean(0.008));
     }
 
     #[test]

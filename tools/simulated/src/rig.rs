@@ -11,9 +11,11 @@ use board::Board;
 use wire::Wire;
 
 mod board;
+mod rehearsal;
 mod wire;
 
 pub use board::mechanics;
+pub use rehearsal::{Rehearsal, rehearse};
 
 /// What kind of rig is simulated.
 #[derive(Debug, Clone)]
@@ -99,6 +101,15 @@ pub struct Photograph {
     pub opened_us: u64,
 }
 
+/// When the rig moved, by its own clock.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Move {
+    /// When it was told to, microseconds.
+    pub began_us: u64,
+    /// When it had arrived and settled, microseconds.
+    pub settled_us: u64,
+}
+
 /// Tells where the surface truly is at the moment of asking, for instance to a simulated camera. Cheap to clone.
 #[derive(Clone)]
 pub struct RigPosition {
@@ -125,6 +136,13 @@ impl RigPosition {
         let mut board = lock(&self.board);
         board.catch_up();
         board.state()
+    }
+
+    /// Every move that has ended where it should.
+    pub fn moves(&self) -> Vec<Move> {
+        let mut board = lock(&self.board);
+        board.catch_up();
+        board.moves()
     }
 
     /// Every photograph whose contact has closed and opened.

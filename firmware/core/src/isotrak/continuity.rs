@@ -3,9 +3,9 @@
 //! A leap that nothing could have made is held until [`LEAP_WITNESSES`] records agree; a change of the status character
 //! until the next record repeats it.
 //!
-//! Where records say everything once, position and orientation are also followed by a filter that learns how far they
-//! usually are from where it expects them. A record farther off is held until the next one: if that comes back to the
-//! old course the held one was damaged; if it follows the held one, the tracker did move, and both are good.
+//! Position and orientation are also followed by a filter that learns how far they usually are from where it expects
+//! them. A record farther off is held until the next one: if that comes back to the old course the held one was
+//! damaged; if it follows the held one, the tracker did move, and both are good.
 
 use rigel_protocol::{Orientation, Record};
 
@@ -21,16 +21,24 @@ const TURN_MILLIONTHS_S: i64 = 10_000_000;
 const SLACK: [i64; 2] = [5_000, 5_000];
 /// Stamps jitter: records are thought to be at least so far apart, about the time of one.
 const SHORTEST_US: i64 = 16_667;
-/// A stamp may be so late, and the record thus so much farther.
-const JITTER_US: i64 = 1_000;
 /// After so long without a good record nothing is known any more.
 const FORGOTTEN_US: i64 = 1_000_000;
-/// Three units of the formats' last digits are never suspicious: micrometres and millionths.
-const FLOOR: [i64; 2] = [300, 300];
+/// What is never suspicious: three units of the formats' last digits where a record says everything once …
+const STRICT: Allowance = Allowance { floor: [300, 300], jitter_us: 1_000 };
+/// … and half a centimetre and half a degree where two copies agree: only damage to both must be seen.
+const LENIENT: Allowance = Allowance { floor: [5_000, 5_000], jitter_us: 100_000 };
 /// How many times the usual distance is suspicious; for normal noise 5.6 standard deviations.
 const SUSPICIOUS: i64 = 7;
 /// The usual distance at first, until it is learnt.
 const UNKNOWN: [i64; 2] = [2_000, 2_000];
+
+/// How far a record may be from where it is expected: micrometres and millionths.
+#[derive(Clone, Copy)]
+struct Allowance {
+    floor: [i64; 2],
+    /// A stamp may be so late, and the record thus so much farther.
+    jitter_us: i64,
+}
 
 /// What became of a record, and of one that was held before it: at most two verdicts, the older first.
 pub(super) type Pair = [Option<Result<Record, Rejected>>; 2];
@@ -57,7 +65,7 @@ fn beside(mut pose: Pose, other: &Pose) -> Pose {
 
 /// One station's course.
 pub(super) struct Continuity {
-    /// Whether surprises below a leap are suspicious too.
+    /// Whether the records' numbers are not proven by a second copy.
     strict: bool,
     course: Option<Course>,
     held: Option<Held>,
@@ -96,17 +104,22 @@ impl Continuity {
         self.held.take().map(|held| Err(held.why))
     }
 
-    /// Judges a record and the one that was held before it.
-    pub(super) fn judge(&mut self, record: Record) -> Pair {
+    /// Judges a record and the one that was held before it. The first record, with nothing to compare it to, is believed
+    /// unless `doubtful` or strict.
+    pub(super) fn judge(&mut self, record: Record, doubtful: bool) -> Pair {
         let pose = pose(&record);
         let course = self.course.filter(|c| since_us(record.at_us, c.at_us) < FORGOTTEN_US);
         let suspicion = match &course {
             Some(course) => course.suspicion(&record, &pose, self.strict),
-            None => Some((Rejected::Continuity, 2)),
+            None if self.strict || doubtful => Some((Rejected::Continuity, 2)),
+            None => None,
         };
         let held = self.held.take();
         let Some((why, needed)) = suspicion else {
-            self.course = course.map(|c| c.followed(&record, &pose));
+            self.course = Some(match course {
+                Some(course) => course.followed(&record, &pose),
+                None => Course::started(&record, &record, None),
+            });
             return [held.map(|h| Err(h.why)), Some(Ok(record))];
         };
         match held {
@@ -135,12 +148,13 @@ impl Course {
         if !reachable(&self.last, &pose, elapsed_us) {
             return Some((Rejected::Continuity, LEAP_WITNESSES));
         }
+        let allowance = if strict { STRICT } else { LENIENT };
         let expected = self.expected(elapsed_us);
         for (i, (at, expected)) in pose.iter().zip(expected).enumerate() {
             let kind = usize::from(i >= 3);
-            let bound = FLOOR[kind].max(SUSPICIOUS * self.usual[kind] / 16)
-                + self.velocity[i].abs() * JITTER_US / 1_000_000;
-            if strict && (at - expected).abs() > bound {
+            let bound = allowance.floor[kind].max(SUSPICIOUS * self.usual[kind] / 16)
+                + self.velocity[i].abs() * allowance.jitter_us / 1_000_000;
+            if (at - expected).abs() > bound {
                 return Some((Rejected::Continuity, 2));
             }
         }

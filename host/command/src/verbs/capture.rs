@@ -3,19 +3,20 @@
 use glam::DVec3;
 use rigel::capture::{self, Plan, add_views, plan};
 use rigel::sampling::{Stop, icosphere_near, latitude_longitude_near, spiral, stratified, tour};
-use rigel::session::{Manifest, Session};
+use rigel::session::{self, Manifest, Session};
 use rigel::{Error, Result};
+use rigel_simulated::rig::rehearse as rehearsed;
 
-use crate::arguments::{Capture, SamplingChoice};
+use crate::arguments::{Capture, Collect, SamplingChoice};
 use crate::devices::Devices;
 use crate::progress::Bar;
 use crate::say::say;
 
 /// `rigel capture`.
 pub fn capture(arguments: &Capture) -> Result<()> {
-    // First of all: a rig that is opened moves.
+    // First of all: whoever may not write into the session need not bother the rig.
     let begun = if arguments.resume { Some(begun(arguments)?) } else { None };
-    let mut devices = Devices::open(&arguments.rig, arguments.camera)?;
+    let mut devices = Devices::open(&arguments.rig, &arguments.camera, &arguments.session)?;
     let (manifest, done) = match &begun {
         Some(session) => (session.manifest.clone(), session.done_views()),
         None => {
@@ -23,8 +24,11 @@ pub fn capture(arguments: &Capture) -> Result<()> {
             (new_manifest(&devices, &directions, arguments.longest_exposure_time_s)?.0, vec![])
         }
     };
-    let plan = plan(&manifest, &done, devices.rig.as_ref(), devices.camera.as_ref())?;
-    if arguments.dry_run {
+    let moving_s = if arguments.dry_run { Some(rehearse(&devices, &manifest, &done)?) } else { None };
+    let mut plan = plan(&manifest, &done, devices.rig.as_ref(), devices.camera.as_ref())?;
+    if let Some(moving_s) = moving_s {
+        let times = capture::bracket(&manifest, devices.camera.as_ref())?;
+        plan.most_seconds = moving_s + plan.views as f64 * times.iter().sum::<f64>();
         say(&plan);
         return Ok(());
     }
@@ -42,12 +46,60 @@ pub fn capture(arguments: &Capture) -> Result<()> {
                 say!("go on with: rigel capture {} --resume", arguments.session.display());
             }
         })?;
+    let waiting = session.waiting().len();
+    if waiting > 0 {
+        say!(
+            "{waiting} photographs are in the camera: bring them with rigel collect {} FOLDER",
+            arguments.session.display()
+        );
+    }
     let photographs: usize = session.done_views().iter().map(|&view| session.photographs(view).len()).sum();
     say!(
         "wrote {}: {} views, {photographs} photographs",
         arguments.session.display(),
         session.done_views().len()
     );
+    Ok(())
+}
+
+/// What the rig's firmware makes of the views: the time of homing and of all moves, settling included, seconds.
+fn rehearse(devices: &Devices, manifest: &Manifest, done: &[usize]) -> Result<f64> {
+    let (limits, views) = (devices.rig.limits(), capture::to_do(manifest, done)?);
+    let targets: Vec<[f64; 2]> = views.iter().map(|view| view.1).collect();
+    let rehearsal = rehearsed(&limits, &targets).map_err(|reply| {
+        let why = reply.map_or("these are the limits of no rig".into(), |reply| format!("{reply:?}"));
+        Error::request(format!("{} cannot be rehearsed: {why}", devices.rig.describe()), "correct its limits")
+    })?;
+    let (mut seconds, mut refused) = (rehearsal.homing_s, vec![]);
+    for ((view, at), outcome) in views.iter().zip(rehearsal.moves) {
+        match outcome {
+            Ok(move_s) => seconds += move_s,
+            Err(_) => {
+                let [pan, tilt] = at.map(f64::to_degrees);
+                refused.push(format!("{} (pan {pan:.1}°, tilt {tilt:.1}°)", manifest.views[*view].name));
+            }
+        }
+    }
+    if refused.is_empty() {
+        return Ok(seconds);
+    }
+    Err(Error::request(
+        format!(
+            "the rig refuses {} of {} views: {}; it is {}",
+            refused.len(),
+            views.len(),
+            refused.join(", "),
+            devices.rig.describe()
+        ),
+        "choose a smaller --zenith-limit",
+    ))
+}
+
+/// `rigel collect`.
+pub fn collect(arguments: &Collect) -> Result<()> {
+    let mut session = Session::open(&arguments.session)?;
+    let count = session::collect(&mut session, &arguments.photographs, &Bar::new("collecting"))?;
+    say!("collected {count} photographs into {}", arguments.session.display());
     Ok(())
 }
 
@@ -80,10 +132,10 @@ pub fn new_manifest(
     longest_exposure_s: f64,
 ) -> Result<(Manifest, Vec<Stop>)> {
     let mut manifest = Manifest {
-        distance_m: Some(devices.distance_m),
+        distance_m: devices.known.as_ref().map(|known| known.distance_m),
         longest_exposure_s: Some(longest_exposure_s),
-        surface: Some(devices.surface),
-        lenses: vec![devices.lens],
+        surface: devices.known.as_ref().map(|known| known.surface),
+        lenses: devices.known.iter().map(|known| known.lens).collect(),
         ..Manifest::new(devices.describe())
     };
     let stops = tour(directions, &devices.rig.limits())?;

@@ -28,8 +28,9 @@ struct Bench {
 impl Bench {
     fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let camera = FolderCamera::open(folder.path(), WAIT).unwrap();
-        Self { folder, session: tempfile::tempdir().unwrap(), camera }
+        let session = tempfile::tempdir().unwrap();
+        let camera = FolderCamera::open(folder.path(), session.path(), WAIT).unwrap();
+        Self { folder, session, camera }
     }
 
     fn put(&self, name: &str, bytes: &[u8]) {
@@ -100,13 +101,13 @@ fn after_an_interruption_what_was_taken_is_not_taken_again() {
     bench.put("a.jpg", &photograph(0.5, second(1), 1));
     bench.put("b.jpg", &photograph(0.5, second(2), 2));
     bench.take(0.5, "view0").unwrap();
-    bench.camera = FolderCamera::open(bench.folder.path(), WAIT).unwrap();
+    bench.camera = FolderCamera::open(bench.folder.path(), bench.session.path(), WAIT).unwrap();
     let taken = bench.take(0.5, "view1").unwrap();
     assert_eq!(std::fs::read(taken.file).unwrap(), std::fs::read(bench.folder.path().join("b.jpg")).unwrap());
 }
 
 #[test]
 fn a_folder_that_is_not_there_is_refused_at_once() {
-    let error = FolderCamera::open(Path::new("/nonexistent"), WAIT).err().unwrap();
+    let error = FolderCamera::open(Path::new("/nonexistent"), Path::new("/none"), WAIT).err().unwrap();
     assert!(error.to_string().contains("/nonexistent"), "{error}");
 }

@@ -2,7 +2,8 @@
 
 use std::time::SystemTime;
 
-use image::{ImageFormat, ImageReader};
+use image::codecs::jpeg::JpegEncoder;
+use image::{ExtendedColorType, ImageEncoder, ImageFormat, ImageReader};
 
 /// How the bytes of a frame are to be read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -98,7 +99,8 @@ impl Frame {
                     .collect()
             }
             Layout::Jpeg => {
-                let reader = ImageReader::with_format(std::io::Cursor::new(bytes), ImageFormat::Jpeg);
+                let whole = with_tables(bytes).ok_or("sent a damaged frame")?;
+                let reader = ImageReader::with_format(std::io::Cursor::new(whole), ImageFormat::Jpeg);
                 let picture = reader.decode().map_err(|error| format!("sent a damaged frame ({error})"))?;
                 if (picture.width(), picture.height()) != (self.width, self.height) {
                     return Err("sent a frame of another size".into());
@@ -106,6 +108,34 @@ impl Frame {
                 picture.into_rgb8().into_raw()
             }
         })
+    }
+}
+
+/// A JPEG file with Huffman tables. Webcams leave them out, since they are always those of the standard (ITU-T T.81, annex K),
+/// with which the encoder here writes too.
+fn with_tables(bytes: &[u8]) -> Option<Vec<u8>> {
+    let (tables, scan) = huffman_tables(bytes)?;
+    if !tables.is_empty() {
+        return Some(bytes.to_vec());
+    }
+    let mut other = vec![];
+    JpegEncoder::new(&mut other).write_image(&[0; 3], 1, 1, ExtendedColorType::Rgb8).ok()?;
+    let (tables, _) = huffman_tables(&other)?;
+    Some([&bytes[..scan], &tables, &bytes[scan..]].concat())
+}
+
+/// The segments of a JPEG file that hold Huffman tables, and where its scan begins.
+fn huffman_tables(bytes: &[u8]) -> Option<(Vec<u8>, usize)> {
+    let (mut tables, mut at) = (vec![], 2);
+    loop {
+        let &[0xff, kind, high, low] = bytes.get(at..at + 4)? else { return None };
+        let end = at + 2 + usize::from(u16::from_be_bytes([high, low]));
+        match kind {
+            0xda => return Some((tables, at)),
+            0xc4 => tables.extend(bytes.get(at..end)?),
+            _ => {}
+        }
+        at = end;
     }
 }
 
@@ -176,8 +206,8 @@ mod tests {
     fn jpeg() -> Vec<u8> {
         let levels: Vec<u8> = (0..16 * 16 * 3).map(|i| (i / 4) as u8).collect();
         let mut bytes = vec![];
-        let encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, 90);
-        image::ImageEncoder::write_image(encoder, &levels, 16, 16, image::ExtendedColorType::Rgb8).unwrap();
+        let encoder = JpegEncoder::new_with_quality(&mut bytes, 90);
+        encoder.write_image(&levels, 16, 16, ExtendedColorType::Rgb8).unwrap();
         bytes
     }
 
@@ -185,17 +215,23 @@ mod tests {
     fn a_jpeg_frame_without_tables_and_with_a_rest_behind_it_is_read() {
         let whole = jpeg();
         let expected = frame(Layout::Jpeg, 16, 16, &whole).rgb().unwrap();
-        // Webcams leave out the Huffman tables, which are always the same; the encoder here uses these too.
-        let mut bare = whole[..2].to_vec();
-        let mut at = 2;
-        while whole[at + 1] != 0xda {
-            let end = at + 2 + usize::from(u16::from_be_bytes([whole[at + 2], whole[at + 3]]));
-            if whole[at + 1] != 0xc4 {
-                bare.extend(&whole[at..end]);
-            }
+        let (tables, scan) = huffman_tables(&whole).unwrap();
+        // Annex K: two tables of 12 and two of 162 codes, with the first of the codes for brightness.
+        assert!((416..=416 + 4 * 4).contains(&tables.len()));
+        assert!(tables.windows(9).any(|codes| codes == [1, 2, 3, 0, 4, 17, 5, 18, 33]));
+        let mut bare: Vec<u8> = vec![];
+        let mut at = 0;
+        while at < scan {
+            let is_table = whole[at..].starts_with(&[0xff, 0xc4]);
+            let end = if at == 0 {
+                2
+            } else {
+                at + 2 + usize::from(u16::from_be_bytes([whole[at + 2], whole[at + 3]]))
+            };
+            bare.extend(if is_table { &[] } else { &whole[at..end] });
             at = end;
         }
-        bare.extend(&whole[at..]);
+        bare.extend(&whole[scan..]);
         assert!(bare.len() < whole.len() - 400, "the tables are gone");
         let size = bare.len();
         bare.extend([1, 2, 0xff, 0xd9, 3]);
@@ -215,9 +251,11 @@ mod tests {
         let whole = jpeg();
         assert!(Frame::new(Layout::Jpeg, 16, 16, &whole[..whole.len() - 1], None).is_err());
         assert!(frame(Layout::Jpeg, 8, 16, &whole).rgb().unwrap_err().contains("another size"));
-        let mut damaged = whole;
-        damaged[3] = 0xff;
-        assert!(frame(Layout::Jpeg, 16, 16, &damaged).rgb().is_err());
+        for marker in [0, 2] {
+            let mut damaged = whole.clone();
+            damaged[marker] = 0;
+            assert!(frame(Layout::Jpeg, 16, 16, &damaged).rgb().is_err());
+        }
     }
 
     #[test]

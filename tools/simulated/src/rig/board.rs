@@ -8,7 +8,7 @@ use rigel_protocol::{
     Answer, Axis, Command, Limits, Reply, Request, Restart, State, TrackerState, TrackerStatus,
 };
 
-use super::{Photograph, RigOptions};
+use super::{Move, Photograph, RigOptions};
 
 /// 200 steps of 16 microsteps and a gear of 75 to 4: a step is 6 thousandths of a degree.
 const STEPS_PER_TURN: u32 = 60_000;
@@ -46,6 +46,9 @@ pub(super) struct Board {
     bench: Bench,
     /// What the core has said and nobody has sent.
     pub said: VecDeque<Answer>,
+    /// When the move that goes on began.
+    began_us: Option<u64>,
+    moves: Vec<Move>,
     switched_on: Instant,
     speed_factor: f64,
     mechanics: Mechanics,
@@ -55,23 +58,14 @@ impl Board {
     /// `None` when there can be no rig with these limits.
     pub fn new(options: &RigOptions) -> Option<Self> {
         let mechanics = mechanics(options.limits);
-        let switch_mdeg = mechanics.switch_mdeg.map(i64::from);
-        let bench = Bench {
-            motor: START_STEPS,
-            surface: START_STEPS,
-            rising: [true; 2],
-            switches: switch_mdeg.map(|mdeg| mdeg * i64::from(STEPS_PER_TURN) / 360_000),
-            stuck: options.stuck_switch,
-            flash_wired: options.flash_sync,
-            flashed: false,
-            closed: None,
-            photographs: Vec::new(),
-            now_us: 0,
-        };
+        let bench =
+            Bench { stuck: options.stuck_switch, flash_wired: options.flash_sync, ..Bench::new(&mechanics) };
         Some(Self {
             controller: Controller::new("simulated rig", mechanics, Restart::Power)?,
             bench,
             said: VecDeque::new(),
+            began_us: None,
+            moves: Vec::new(),
             switched_on: Instant::now(),
             speed_factor: options.speed_factor,
             mechanics,
@@ -99,7 +93,13 @@ impl Board {
         let now_us = self.now_us();
         while let Some(due_us) = self.controller.next_us().filter(|&due_us| due_us <= now_us) {
             self.bench.now_us = self.bench.now_us.max(due_us);
-            self.said.extend(self.controller.advance(self.bench.now_us, &mut self.bench));
+            let event = self.controller.advance(self.bench.now_us, &mut self.bench);
+            if let Some(Answer { reply: Reply::Arrived { .. }, .. }) = event
+                && let Some(began_us) = self.began_us.take()
+            {
+                self.moves.push(Move { began_us, settled_us: self.bench.now_us });
+            }
+            self.said.extend(event);
         }
         self.bench.now_us = now_us;
         now_us
@@ -125,6 +125,9 @@ impl Board {
                 restarts: 0,
             })),
         };
+        if matches!(request.command, Command::MoveTo { .. }) && self.controller.state() == State::Moving {
+            self.began_us.get_or_insert(now_us);
+        }
         self.said.push_back(answer);
     }
 
@@ -142,6 +145,10 @@ impl Board {
         self.bench.surface.map(|steps| steps as f64 * std::f64::consts::TAU / f64::from(STEPS_PER_TURN))
     }
 
+    pub fn moves(&self) -> Vec<Move> {
+        self.moves.clone()
+    }
+
     pub fn photographs(&self) -> Vec<Photograph> {
         self.bench.photographs.clone()
     }
@@ -156,7 +163,7 @@ impl Board {
 }
 
 /// Motors, gears, switches and contacts.
-struct Bench {
+pub(super) struct Bench {
     /// Where the motors truly are.
     motor: [i64; 2],
     /// Where the surface truly is, behind the play of the gears.
@@ -170,7 +177,27 @@ struct Bench {
     /// When the shutter's contact closed.
     closed: Option<u64>,
     photographs: Vec<Photograph>,
-    now_us: u64,
+    /// The time of what happens next.
+    pub(super) now_us: u64,
+}
+
+impl Bench {
+    /// A rig as it stands when it is switched on, without a flash-sync.
+    pub(super) fn new(mechanics: &Mechanics) -> Self {
+        let switch_mdeg = mechanics.switch_mdeg.map(i64::from);
+        Self {
+            motor: START_STEPS,
+            surface: START_STEPS,
+            rising: [true; 2],
+            switches: switch_mdeg.map(|mdeg| mdeg * i64::from(STEPS_PER_TURN) / 360_000),
+            stuck: None,
+            flash_wired: false,
+            flashed: false,
+            closed: None,
+            photographs: Vec::new(),
+            now_us: 0,
+        }
+    }
 }
 
 impl Pins for Bench {

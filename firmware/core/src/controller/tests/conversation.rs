@@ -119,7 +119,15 @@ fn the_tracker_is_asked_once_and_its_reply_is_remembered() {
         assert_eq!(bench.rig.handle(&ask, 0, &mut bench.wires), Handled::Tracker);
         assert_eq!(bench.rig.remember(Reply::Pong { at_us: 1 }).sequence, 3);
     }
-    let stale = Answer { sequence: 2, reply: Reply::Refused(Fault::Stale) };
+    // A reply that takes its time is still that request's, and no other's.
+    let track = Request { sequence: 4, ..track };
+    let stop = Request { sequence: 5, command: Command::Stop };
+    assert_eq!(bench.rig.handle(&track, 0, &mut bench.wires), Handled::Tracker);
+    assert_eq!(bench.rig.handle(&track, 0, &mut bench.wires), Handled::Tracker, "not yet answered");
+    let stopped = bench.rig.handle(&stop, 0, &mut bench.wires);
+    assert_eq!(bench.rig.remember(Reply::Pong { at_us: 2 }).sequence, 4);
+    assert_eq!(bench.rig.handle(&stop, 0, &mut bench.wires), stopped);
+    let stale = Answer { sequence: 4, reply: Reply::Refused(Fault::Stale) };
     assert_eq!(bench.rig.handle(&track, 0, &mut bench.wires), Handled::Answer(stale));
 }
 
