@@ -265,7 +265,7 @@ impl Write for InMemory {
 
 #[test]
 fn every_command_is_executed_exactly_once_whatever_the_line_does() {
-    for ((seed, rate), brackets) in (1..).zip(RATES).zip([1500, 1500, 1000, 400, 12]) {
+    for ((seed, rate), brackets) in (1..).zip(RATES).zip([800, 800, 500, 200, 8]) {
         let memory = InMemory::new(rate, seed);
         let timing = Timing { reply: Duration::from_millis(1), attempts: 100_000, ..Timing::default() };
         let rig = SerialRig::greet_at(Box::new(memory.clone()), timing).unwrap();
