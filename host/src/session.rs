@@ -1,6 +1,7 @@
 //! A capture on disk: a folder with a manifest (`session.toml`: what was planned), an append-only journal
 //! (`journal.jsonl`: what was photographed) and the camera's own files, untouched, under `photographs/`.
 
+mod begin;
 mod collect;
 mod content;
 mod event;
@@ -24,7 +25,7 @@ pub use manifest::{Manifest, View};
 use crate::geometry::Pose;
 use crate::progress::Progress;
 use crate::{Error, Result, file};
-use lock::{LOCK_FILE, Lock};
+use lock::Lock;
 
 /// Where photographs are until they are complete. Only the holder of the lock touches it.
 const TAKING: &str = "taking";
@@ -50,26 +51,7 @@ impl Session {
     /// [`Error::Input`] when the folder holds something or somebody else starts there, [`Error::Io`] when it cannot be
     /// written; then it is as it was.
     pub fn create(folder: &Path, manifest: Manifest) -> Result<Self> {
-        let existed = folder.exists();
-        if !is_unfinished(folder) {
-            refuse_occupied(folder)?;
-        }
-        fs::create_dir_all(folder).map_err(Error::io("create", folder))?;
-        let lock = Lock::take(folder)?;
-        // Somebody else may have finished between the first look and the lock.
-        let made = if is_unfinished(folder) { make(folder, &manifest) } else { refuse_occupied(folder) };
-        if let Err(error) = made {
-            drop(lock);
-            if is_unfinished(folder) {
-                // What is left behind would be neither empty nor a session. The error that matters is the first one.
-                let _ = fs::remove_dir(folder.join("photographs"));
-                let _ = fs::remove_file(folder.join(LOCK_FILE));
-                if !existed {
-                    let _ = fs::remove_dir(folder);
-                }
-            }
-            return Err(error);
-        }
+        let lock = begin::begin(folder, &manifest)?;
         let journal = Journal::open(&folder.join("journal.jsonl"))?;
         Ok(Self { folder: folder.into(), manifest, journal, lock: Some(lock), damaged: BTreeSet::new() })
     }
@@ -321,142 +303,5 @@ fn read_journal(folder: &Path, manifest: &Manifest) -> Result<Journal> {
     Ok(journal)
 }
 
-/// The manifest comes last: a folder with it is a session.
-fn make(folder: &Path, manifest: &Manifest) -> Result<()> {
-    let photographs = folder.join("photographs");
-    match fs::create_dir(&photographs) {
-        Err(error) if error.kind() != std::io::ErrorKind::AlreadyExists => {
-            return Err(Error::io("create", &photographs)(error));
-        }
-        _ => {}
-    }
-    for entry in fs::read_dir(folder).map_err(Error::io("read", folder))? {
-        let path = entry.map_err(Error::io("read", folder))?.path();
-        if path.extension().is_some_and(|end| end == "rigel-tmp") {
-            fs::remove_file(&path).map_err(Error::io("remove", path))?;
-        }
-    }
-    manifest.write(&folder.join("session.toml"))
-}
-
-/// Whether a folder is what [`make`] has left that did not come to its end.
-fn is_unfinished(folder: &Path) -> bool {
-    let Ok(entries) = fs::read_dir(folder) else { return false };
-    let mut locked = false;
-    for entry in entries {
-        let Ok(entry) = entry else { return false };
-        let name = entry.file_name().to_string_lossy().into_owned();
-        match name.as_str() {
-            LOCK_FILE => locked = true,
-            "photographs" if fs::read_dir(entry.path()).is_ok_and(|mut inside| inside.next().is_none()) => {}
-            _ if name.starts_with("session.toml.") && name.ends_with(".rigel-tmp") => {}
-            _ => return false,
-        }
-    }
-    locked
-}
-
-fn refuse_occupied(folder: &Path) -> Result<()> {
-    match fs::read_dir(folder) {
-        Ok(mut entries) => match entries.next() {
-            Some(_) => Err(Error::input(
-                folder,
-                "is not empty",
-                "choose a new folder for the session, or go on with `rigel capture --resume`",
-            )),
-            None => Ok(()),
-        },
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
-        Err(error) => Err(Error::io("read", folder)(error)),
-    }
-}
-
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn manifest() -> Manifest {
-        let view = |name: &str| View {
-            name: name.into(),
-            pan_deg: Some(10.0),
-            tilt_deg: Some(20.0),
-            lens: 0,
-            pose: None,
-        };
-        Manifest { views: vec![view("view000"), view("view001")], ..Manifest::new("test") }
-    }
-
-    fn photograph(view: usize, file: &str) -> Event {
-        Event::Photograph(Photograph {
-            view,
-            file: file.into(),
-            exposure_s: Some(0.5),
-            ..Photograph::default()
-        })
-    }
-
-    #[test]
-    fn what_was_recorded_is_there_after_reopening() {
-        let folder = tempfile::tempdir().unwrap();
-        let mut session = Session::create(folder.path(), manifest()).unwrap();
-        session.record(photograph(0, "photographs/a.jpg")).unwrap();
-        session.record(Event::ViewDone { view: 0 }).unwrap();
-        session.record(photograph(1, "photographs/b.jpg")).unwrap();
-        drop(session);
-        let session = Session::open(folder.path()).unwrap();
-        assert_eq!(session.manifest, manifest());
-        assert_eq!(session.done_views(), [0]);
-        assert_eq!(session.photographs(1).len(), 1);
-    }
-
-    #[test]
-    fn a_torn_last_line_is_forgotten_and_the_journal_goes_on() {
-        let folder = tempfile::tempdir().unwrap();
-        let mut session = Session::create(folder.path(), manifest()).unwrap();
-        session.record(photograph(0, "photographs/a.jpg")).unwrap();
-        drop(session);
-        let path = folder.path().join("journal.jsonl");
-        let mut text = fs::read_to_string(&path).unwrap();
-        text.push_str("{\"photograph\":{\"view\":0,\"fi");
-        fs::write(&path, text).unwrap();
-        let mut session = Session::open(folder.path()).unwrap();
-        assert_eq!(session.photographs(0).len(), 1);
-        session.record(photograph(0, "photographs/c.jpg")).unwrap();
-        drop(session);
-        assert_eq!(Session::open(folder.path()).unwrap().photographs(0).len(), 2);
-    }
-
-    #[test]
-    fn damage_inside_the_journal_is_an_error_with_its_line() {
-        let folder = tempfile::tempdir().unwrap();
-        let mut session = Session::create(folder.path(), manifest()).unwrap();
-        session.record(photograph(0, "photographs/a.jpg")).unwrap();
-        session.record(photograph(0, "photographs/b.jpg")).unwrap();
-        drop(session);
-        let path = folder.path().join("journal.jsonl");
-        let text = fs::read_to_string(&path).unwrap().replacen("photograph", "phot\u{0}graph", 1);
-        fs::write(&path, text).unwrap();
-        let message = Session::open(folder.path()).unwrap_err().to_string();
-        assert!(message.contains("line 1"), "{message}");
-    }
-
-    #[test]
-    fn views_whose_files_would_meet_or_lie_elsewhere_are_refused() {
-        for name in ["view000", "", "../view001", "a\\b"] {
-            let folder = tempfile::tempdir().unwrap();
-            let mut twice = manifest();
-            twice.views[1].name = name.into();
-            Session::create(folder.path(), twice).unwrap();
-            let message = Session::open(folder.path()).unwrap_err().to_string();
-            assert!(message.contains("session.toml") && message.contains(name), "{message}");
-        }
-    }
-
-    #[test]
-    fn an_occupied_folder_is_refused() {
-        let folder = tempfile::tempdir().unwrap();
-        fs::write(folder.path().join("precious.txt"), "x").unwrap();
-        assert!(Session::create(folder.path(), manifest()).is_err());
-        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
-    }
-}
+mod tests;

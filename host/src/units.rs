@@ -59,9 +59,10 @@ pub fn parse_texels(text: &str) -> Result<Texels> {
     }
 }
 
-/// Writes metres in the unit people measure with.
+/// Writes metres so that [`parse_length_m`] reads the same number: in millimetres where that is so, else in metres.
 pub fn format_length(metres: f64) -> String {
-    format!("{}mm", (metres * 1e6).round() / 1e3)
+    let millimetres = (metres * 1e6).round() / 1e3;
+    if millimetres * 1e-3 == metres { format!("{millimetres}mm") } else { format!("{metres}m") }
 }
 
 /// Serde: a length in metres stands in files as text with its unit.
@@ -97,7 +98,10 @@ mod tests {
         for bad in ["900", "mm", "-3mm", "nanm", ""] {
             assert!(parse_length_m(bad).is_err(), "{bad}");
         }
-        assert!((parse_length_m(&format_length(0.123_456)).unwrap() - 0.123_456).abs() < 1e-12);
+        assert_eq!((format_length(0.2).as_str(), format_length(0.15).as_str()), ("200mm", "150mm"));
+        for metres in [0.9, 0.123_456, 0.123_456_789_012, 1e-9, 1e-300, 1.0 / 3.0, 1e306] {
+            assert_eq!(parse_length_m(&format_length(metres)).unwrap(), metres);
+        }
     }
 
     #[test]

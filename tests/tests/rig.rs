@@ -130,6 +130,20 @@ fn an_unplugged_rig_is_an_error_that_names_the_port() {
 }
 
 #[test]
+fn a_stuck_limit_switch_is_an_error_that_names_it_and_nothing_hangs() {
+    for (axis, name) in [(Axis::Pan, "pan"), (Axis::Tilt, "tilt")] {
+        let stuck_switch = Some(axis);
+        let options = RigOptions { speed_factor: 60.0, stuck_switch, ..Default::default() };
+        let simulated = SimulatedRig::start(options).unwrap();
+        let start = Instant::now();
+        let error = SerialRig::open(simulated.port_name()).err().unwrap().to_string();
+        assert!(error.contains(name) && error.contains("switch does not open"), "{error}");
+        assert!(start.elapsed() < Duration::from_secs(10), "it hung");
+        assert!(!simulated.position().now().moving);
+    }
+}
+
+#[test]
 fn a_rig_that_says_nothing_is_given_up() {
     let simulated = simulated(Faults { drop_every: 1, ..Faults::default() });
     let error = SerialRig::open(simulated.port_name()).err().unwrap().to_string();

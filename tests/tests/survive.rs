@@ -41,6 +41,10 @@ impl Rig for Bench<'_> {
     fn describe(&self) -> String {
         "a bench".into()
     }
+
+    fn take_notices(&mut self) -> Vec<String> {
+        vec!["the cable was out".into()]
+    }
 }
 
 /// A small camera that counts its photographs; those that come later stay with it.
@@ -227,6 +231,11 @@ fn a_photograph_tells_how_it_was_taken() {
     assert_eq!((run.rigel.as_str(), run.protocol), (env!("CARGO_PKG_VERSION"), rigel_protocol::VERSION));
     assert_eq!(run.schema, format!("{:08x}", rigel_protocol::SCHEMA));
     assert!(run.rig == "a bench" && run.camera.contains("16x12"), "{run:?}");
+    let notices = session.events().iter().filter(|event| match event {
+        Event::Notice { at, text } => text == "the cable was out" && *at >= run.at,
+        _ => false,
+    });
+    assert_eq!(notices.count(), 3, "one for each move");
     let mut before = run.at;
     for view in 0..3 {
         for (index, photograph) in session.photographs(view).iter().enumerate() {

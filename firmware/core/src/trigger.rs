@@ -110,7 +110,7 @@ impl Trigger {
                 self.confirmed += u8::from(confirmed);
                 if usize::from(self.index) < self.bracket.pulses_us.len() {
                     self.phase = Phase::Waiting;
-                    self.due_us = opened_us.saturating_add(us(self.bracket.pause_ms)).max(now_us);
+                    self.due_us = opened_us.saturating_add(us(self.bracket.pause_ms));
                 } else {
                     pins.set_half_press(false);
                     self.phase = Phase::Taken;

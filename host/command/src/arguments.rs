@@ -22,6 +22,12 @@ pub enum Verb {
     Capture(Capture),
     /// Bring the photographs that a captured session's camera kept into the session
     Collect(Collect),
+    /// List what is attached: serial ports and whether a rig answers there, cameras
+    Devices,
+    /// Work with a rig on the bench: home, move, status, watch
+    Rig(Rig),
+    /// Work with the tracker at a rig: watch
+    Tracker(Tracker),
     /// Make a session of photographs that you have: a folder, a CSV or a COLMAP text model
     Import(Import),
     /// Turn a session's photographs into radiance: one OpenEXR per view, with variance and mask
@@ -129,6 +135,70 @@ pub enum SamplingChoice {
     Icosphere,
     LatitudeLongitude,
     Stratified,
+}
+
+#[derive(Args)]
+pub struct Rig {
+    #[command(subcommand)]
+    pub verb: RigVerb,
+}
+
+#[derive(Subcommand)]
+pub enum RigVerb {
+    /// Find the switches and go to pan 0, tilt 0
+    Home(Bench),
+    /// Home, then go to a pan and a tilt
+    Move(Move),
+    /// Tell where the rig is and what has happened; nothing moves
+    Status(Bench),
+    /// Tell whatever changes until Ctrl-C; nothing moves
+    Watch(Bench),
+}
+
+#[derive(Args)]
+pub struct Bench {
+    /// The rig: `simulated`, or its serial port, such as /dev/ttyACM0
+    #[arg(long)]
+    pub rig: String,
+}
+
+#[derive(Args)]
+pub struct Move {
+    /// Pan, degrees
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
+    pub pan: f64,
+    /// Tilt, degrees
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
+    pub tilt: f64,
+    #[command(flatten)]
+    pub bench: Bench,
+}
+
+#[derive(Args)]
+pub struct Tracker {
+    #[command(subcommand)]
+    pub verb: TrackerVerb,
+}
+
+#[derive(Subcommand)]
+pub enum TrackerVerb {
+    /// Show rate, noise and gaps of the tracker's records until Ctrl-C
+    Watch(TrackerWatch),
+}
+
+#[derive(Args)]
+pub struct TrackerWatch {
+    #[command(flatten)]
+    pub bench: Bench,
+    /// How many receivers are plugged in: 1 or 2
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=2))]
+    pub stations: u8,
+    /// Let the tracker write columns of text instead of binary records
+    #[arg(long)]
+    pub ascii: bool,
+    /// Let the tracker say angles instead of quaternions
+    #[arg(long)]
+    pub euler: bool,
 }
 
 #[derive(Args)]

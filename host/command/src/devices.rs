@@ -17,6 +17,7 @@ use rigel_simulated::rig::{RigOptions, SimulatedRig};
 use rigel_simulated::scene::Scene;
 
 use crate::arguments::CameraChoice;
+use crate::bench::greet;
 
 /// How much faster than a real one the simulated rig moves: nobody wants to wait for what is not there.
 const SPEED_FACTOR: f64 = 40.0;
@@ -74,7 +75,7 @@ impl Devices {
         let (rig, position, simulated): (Box<dyn Rig>, Position, _) = if rig == "simulated" {
             let simulated = simulated_rig()?;
             let position = simulated.position();
-            let mut rig = SerialRig::greet(simulated.port_name())?;
+            let mut rig = greet(simulated.port_name())?;
             line = rig.trigger_line();
             records = tracker.then(|| track(&mut rig)).transpose()?;
             let where_it_is = move || {
@@ -83,7 +84,7 @@ impl Devices {
             };
             (Box::new(rig), Box::new(where_it_is), Some(simulated))
         } else {
-            let mut rig = Reporting { rig: SerialRig::greet(rig)?, at: Rc::default() };
+            let mut rig = Reporting { rig: greet(rig)?, at: Rc::default() };
             let at = rig.at.clone();
             line = rig.rig.trigger_line();
             records = tracker.then(|| track(&mut rig.rig)).transpose()?;
@@ -165,7 +166,11 @@ fn shutter(line: TriggerLine) -> Shutter {
     })
 }
 
-fn simulated_rig() -> Result<SimulatedRig> {
+/// A rig that is not there.
+///
+/// # Errors
+/// [`Error::Device`] where no pseudo-terminal can be had.
+pub fn simulated_rig() -> Result<SimulatedRig> {
     SimulatedRig::start(RigOptions {
         speed_factor: SPEED_FACTOR,
         mount_error_rad: MOUNT_ERROR_RAD,

@@ -1,6 +1,7 @@
 //! The command `rigel`: parse, call one library function, report.
 
 mod arguments;
+mod bench;
 mod devices;
 mod progress;
 mod say;
@@ -20,6 +21,9 @@ fn main() -> ExitCode {
         Verb::Demo(arguments) => verbs::demo(&arguments),
         Verb::Capture(arguments) => verbs::capture(&arguments),
         Verb::Collect(arguments) => verbs::collect(&arguments),
+        Verb::Devices => verbs::devices(),
+        Verb::Rig(arguments) => verbs::rig(&arguments),
+        Verb::Tracker(arguments) => verbs::tracker(&arguments),
         Verb::Import(arguments) => verbs::import(&arguments),
         Verb::Radiance(arguments) => verbs::radiance(&arguments),
         Verb::Observe(arguments) => verbs::observe(&arguments),

@@ -11,20 +11,30 @@ use rigel::{Error, Result};
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 static HANDLER: Once = Once::new();
 
+/// From now on Ctrl-C is a wish that [`interrupted`] tells; the second one ends the program.
+pub fn heed_interrupts() {
+    HANDLER.call_once(|| {
+        // Without a handler Ctrl-C still ends the program, only less gently.
+        let _ = ctrlc::set_handler(|| {
+            if INTERRUPTED.swap(true, Ordering::Relaxed) {
+                std::process::exit(130);
+            }
+        });
+    });
+}
+
+/// Whether the user asked to stop.
+pub fn interrupted() -> bool {
+    INTERRUPTED.load(Ordering::Relaxed)
+}
+
 /// A bar with the remaining time; nothing where the output is not a terminal.
 pub struct Bar(ProgressBar);
 
 impl Bar {
     /// A bar named after what is being done.
     pub fn new(doing: &'static str) -> Self {
-        HANDLER.call_once(|| {
-            // Without a handler Ctrl-C still ends the program, only less gently.
-            let _ = ctrlc::set_handler(|| {
-                if INTERRUPTED.swap(true, Ordering::Relaxed) {
-                    std::process::exit(130);
-                }
-            });
-        });
+        heed_interrupts();
         let style = ProgressStyle::with_template("{prefix:>12} {wide_bar} {pos}/{len}  {eta} left");
         let bar = ProgressBar::new(1).with_prefix(doing);
         if let Ok(style) = style {
@@ -42,7 +52,7 @@ impl Progress for Bar {
         if done as u64 > self.0.position() {
             self.0.set_position(done as u64);
         }
-        if INTERRUPTED.load(Ordering::Relaxed) { Err(Error::Interrupted) } else { Ok(()) }
+        if interrupted() { Err(Error::Interrupted) } else { Ok(()) }
     }
 }
 

@@ -1,10 +1,12 @@
 //! One function for each verb: it calls the library and says what was written.
 
+mod bench;
 mod capture;
 mod demo;
 mod fit;
 mod import;
 
+pub use bench::{devices, rig, tracker};
 pub use capture::{capture, collect};
 pub use demo::demo;
 pub use fit::{evaluate, fit, render};

@@ -10,11 +10,9 @@ use super::place::{Place, Timing};
 use super::serial::SerialPlace;
 use super::tracking::Pinger;
 use super::trigger::TriggerLine;
-use super::{Reached, Rig, RigLimits, RigStatus, degrees, mdeg, rad};
+use super::{ROUNDING_RAD, Reached, Rig, RigLimits, RigStatus, degrees, mdeg, rad};
 use crate::{Error, Result};
 
-/// How long a moving rig may be silent before it is asked: its word that it arrived can be lost.
-const SILENCE: Duration = Duration::from_millis(200);
 /// How much later than announced a move may end.
 const PATIENCE: Duration = Duration::from_secs(3);
 /// How long a rig that is told to stop may take to be asked again.
@@ -181,9 +179,10 @@ impl SerialRig {
     /// Waits until a motion has ended, whether or not its event comes.
     fn wait(&mut self, sequence: u16, duration_ms: u32) -> Result<End> {
         let deadline = Instant::now() + Duration::from_millis(duration_ms.into()) + PATIENCE;
+        let silence = self.link.timing().silence();
         let mut asked = Instant::now();
         loop {
-            let left = SILENCE.saturating_sub(asked.elapsed());
+            let left = silence.saturating_sub(asked.elapsed());
             match self.link.ear().event(sequence, left) {
                 Some(Reply::Arrived { pan_mdeg, tilt_mdeg }) => return Ok(End::At([pan_mdeg, tilt_mdeg])),
                 Some(Reply::Stopped { pan_mdeg, tilt_mdeg }) => {
@@ -316,10 +315,18 @@ impl Rig for SerialRig {
     }
 
     fn move_to(&mut self, pan_rad: f64, tilt_rad: f64) -> Result<Reached> {
-        // Only what fits the words is said; whether it is within the limits, the rig decides.
+        // Only what fits the words is said; the rig itself looks at its limits again.
         let limits = self.limits();
         let pan_mdeg = mdeg(pan_rad).ok_or_else(|| self.outside("pan", pan_rad, limits.pan_rad))?;
         let tilt_mdeg = mdeg(tilt_rad).ok_or_else(|| self.outside("tilt", tilt_rad, limits.tilt_rad))?;
+        // Before it is homed: what cannot be reached moves nothing.
+        for (axis, asked_rad, [low_rad, high_rad]) in
+            [("pan", pan_rad, limits.pan_rad), ("tilt", tilt_rad, limits.tilt_rad)]
+        {
+            if !(low_rad - ROUNDING_RAD..=high_rad + ROUNDING_RAD).contains(&asked_rad) {
+                return Err(self.outside(axis, asked_rad, [low_rad, high_rad]));
+            }
+        }
         let goal = [pan_mdeg, tilt_mdeg];
         for _ in 0..ATTEMPTS {
             if !self.homed {

@@ -37,6 +37,13 @@ pub struct Timing {
     pub dead_man: Duration,
 }
 
+impl Timing {
+    /// How long a rig that is at work may be silent before it is asked: its word that it is done can be lost.
+    pub(super) fn silence(&self) -> Duration {
+        2 * self.reply
+    }
+}
+
 impl Default for Timing {
     /// A tenth of a second, where a frame takes a few milliseconds; twenty times, which covers a board that starts; half a
     /// minute to push a plug back in; five seconds of silence.

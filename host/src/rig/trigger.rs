@@ -8,8 +8,6 @@ use super::clock::Moment;
 use super::link::Link;
 use crate::{Error, Result};
 
-/// How long a bracket may be silent before the rig is asked: its word that it ended can be lost.
-const SILENCE: Duration = Duration::from_millis(200);
 /// How much later than announced a bracket may end.
 const PATIENCE: Duration = Duration::from_secs(3);
 /// How often the rig is asked for the time before a bracket: the shortest round trip counts.
@@ -116,7 +114,7 @@ impl TriggerLine {
     fn wait(&self, sequence: u16, duration: Duration, heard: &mut [Option<Exposed>]) -> Result<(u8, u8)> {
         let deadline = Instant::now() + duration + PATIENCE;
         loop {
-            match self.link.ear().event(sequence, SILENCE) {
+            match self.link.ear().event(sequence, self.link.timing().silence()) {
                 Some(Reply::Exposed { index, at_us, confirmed }) => {
                     let moment = self.link.ear().moment(at_us);
                     // What was heard is no story of the future, however badly the clock is known.

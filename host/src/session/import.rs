@@ -9,7 +9,8 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use super::{Content, Event, LOCK_FILE, Manifest, Photograph, Session};
+use super::lock::LOCK_FILE;
+use super::{Content, Event, Manifest, Photograph, Session};
 use crate::camera::exif;
 use crate::geometry::Surface;
 use crate::picture::Picture;
@@ -87,7 +88,7 @@ pub fn import(
     progress: &dyn Progress,
 ) -> Result<Imported> {
     // First, for the photographs may take minutes to read.
-    super::refuse_occupied(session_folder)?;
+    super::begin::refuse_occupied(session_folder)?;
     let mut notes = vec![];
     let (mut manifest, mut found) = match source {
         Source::Folder(path) => folder::read(path, options, &mut notes)?,

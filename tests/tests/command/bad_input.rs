@@ -558,7 +558,22 @@ fn words_that_mean_nothing() {
         Case {
             spoil: nothing,
             arguments: &["capture", "new", "--rig", "/dev/null", "--dry-run"],
-            names: &["/dev/null", "only camera", "--rig simulated"],
+            names: &["/dev/null", "cannot open the port", "cable"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["rig", "status", "--rig", "/dev/no-such-port"],
+            names: &["/dev/no-such-port", "cannot open the port", "cable"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["rig", "move", "--rig", "simulated", "--pan", "400"],
+            names: &["400.000°", "-180.000° to 180.000°"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["tracker", "watch", "--rig", "simulated", "--stations", "3"],
+            names: &["--stations", "3", "rigel tracker --help"],
         },
         Case {
             spoil: nothing,

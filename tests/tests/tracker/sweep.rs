@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use glam::{DQuat, DVec3, EulerRot};
 use rigel_firmware_core::isotrak::{Layout, Parser};
 use rigel_protocol::{Format, Orientation, Output, Record};
-use rigel_simulated::tracker::{LineFaults, Tracker, TrackerOptions, gentle};
+use rigel_simulated::tracker::{LineFaults, Motion, Tracker, TrackerOptions, gentle};
 
 pub const LAYOUTS: [(Format, Output); 4] = [
     (Format::Ascii, Output::Quaternion),
@@ -13,9 +13,6 @@ pub const LAYOUTS: [(Format, Output); 4] = [
     (Format::Binary, Output::Quaternion),
     (Format::Binary, Output::Euler),
 ];
-
-/// The least share of flipped records that is rejected where everything is said once.
-const LEAST_ONCE: f64 = 0.75;
 
 /// What became of the records of one run.
 #[derive(Debug, Default, Clone, Copy)]
@@ -46,6 +43,7 @@ impl Tally {
         self.wrong += other.wrong;
         self.wrong_beyond_noise += other.wrong_beyond_noise;
         self.refused_unharmed += other.refused_unharmed;
+        self.worst = (self.worst.0.max(other.worst.0), self.worst.1.max(other.worst.1));
     }
 
     /// The share of the records whose content the line had changed that were not accepted.
@@ -76,7 +74,7 @@ fn run(layout: Layout, stations: u8, faults: LineFaults, count: u32, seed: u64) 
     let mut recent: VecDeque<(Record, bool, bool)> = VecDeque::new();
     let mut verdicts = Vec::new();
     while tally.sent < count {
-        let now_us = tracker.next_us().unwrap();
+        let now_us = tracker.next_us().expect("it talks");
         let bytes = tracker.advance(now_us);
         for said in tracker.take_said() {
             tally.sent += 1;
@@ -93,8 +91,8 @@ fn run(layout: Layout, stations: u8, faults: LineFaults, count: u32, seed: u64) 
             tally.judge(&record, &mut recent, noise);
         }
         while recent.len() > 60 {
-            let (_, damaged, seen) = recent.pop_front().unwrap();
-            tally.refused_unharmed += u32::from(!damaged && !seen);
+            let unharmed = recent.pop_front().is_some_and(|(_, damaged, seen)| !damaged && !seen);
+            tally.refused_unharmed += u32::from(unharmed);
         }
     }
     tally
@@ -128,7 +126,7 @@ impl Tally {
 
 /// How far apart two records are: micrometres along the worst axis, radians.
 fn difference(a: &Record, b: &Record) -> (f64, f64) {
-    let moved = (0..3).map(|i| (a.position_um[i] - b.position_um[i]).abs()).max().unwrap();
+    let moved = (0..3).map(|i| (a.position_um[i] - b.position_um[i]).abs()).fold(0, i32::max);
     let turn = |record: &Record| match record.orientation {
         Orientation::Quaternion(q) => {
             let [w, x, y, z] = q.map(f64::from);
@@ -160,6 +158,48 @@ fn a_good_line_loses_nothing() {
             );
             assert!(tally.right + 60 >= tally.sent);
         }
+    }
+}
+
+/// A receiver that is shaken: three metres per second, three times the gravity, ten radians per second, with pauses, and
+/// through the poles of the Euler angles.
+fn shaken() -> Motion {
+    Box::new(|s, _| {
+        let strength = (0.4 * s).sin().max(0.0);
+        let swing = strength * (9.0 * s).sin();
+        let at_m = DVec3::new(0.5 + 0.33 * swing, 0.1 * (7.0 * s).cos() * strength, -0.1);
+        let turn = DQuat::from_rotation_z(1.1 * swing) * DQuat::from_rotation_y(1.5 * (2.0 * s).sin());
+        (at_m, turn * DQuat::from_rotation_x(0.5 * swing))
+    })
+}
+
+/// How many of `count` records of a good line are refused when stamps are late by up to `jitter_us`.
+fn refused(layout: Layout, motion: Motion, jitter_us: u64, count: u64) -> usize {
+    let mut tracker = Tracker::new(TrackerOptions::default(), motion);
+    tracker.set_layout(layout);
+    for byte in b"uC" {
+        tracker.hear(*byte, 0);
+    }
+    let mut parser = Parser::new(layout, 1);
+    let mut refused = 0;
+    for n in 0..count {
+        let late_us = n.wrapping_mul(0x9e37_79b9_7f4a_7c15) % (jitter_us + 1);
+        for (at_us, byte) in tracker.advance(tracker.next_us().expect("it talks")) {
+            refused += parser.push(byte, at_us + late_us).filter(Result::is_err).count();
+        }
+    }
+    refused
+}
+
+#[test]
+fn a_shaken_receiver_and_late_stamps_lose_nothing() {
+    for (format, output) in LAYOUTS {
+        let [once, twice] = [false, true].map(|twice| Layout { format, output, twice });
+        let shaken_once = refused(once, shaken(), 100, 10_000);
+        assert_eq!(refused(twice, shaken(), 100, 10_000), 0, "{twice:?}");
+        assert_eq!(refused(twice, gentle(), 6_000, 10_000), 0, "{twice:?}");
+        println!("{}: {shaken_once} of 10000 refused when shaken", name(once));
+        assert!(shaken_once < 20, "{once:?}: {shaken_once}");
     }
 }
 
@@ -205,6 +245,7 @@ fn lost_doubled_cut_and_babbled_bytes_never_make_a_record() {
 
 #[test]
 fn flipped_bits_are_seen() {
+    let mut once = Tally::default();
     println!(
         "layout, flips per byte: records changed; rejected (all, those beyond noise); undamaged but refused"
     );
@@ -222,9 +263,21 @@ fn flipped_bits_are_seen() {
             tally.worst.0 / 1e3,
             tally.worst.1.to_degrees(),
         );
-        // What says everything once cannot tell a flipped low bit from noise.
-        let least = if layout.twice { 0.99 } else { LEAST_ONCE };
-        assert!(rejected >= least, "{}: {tally:?}", name(layout));
-        assert!(visible >= if layout.twice { 0.999 } else { 0.95 }, "{}: {tally:?}", name(layout));
+        if layout.twice {
+            assert!(rejected >= 0.99 && visible >= 0.995, "{}: {tally:?}", name(layout));
+        } else if rate < 5e-3 {
+            once.add(tally);
+        } else {
+            // A line that flips often gives itself away, and nothing of it is believed.
+            assert!(rejected >= 0.95 && visible >= 0.98, "{}: {tally:?}", name(layout));
+        }
     }
+    // Where everything is said once, a flipped low bit cannot be told from noise.
+    println!(
+        "said once, at most 1e-3: {} changed, {:.2} % accepted within the noise, {:.2} % beyond it",
+        once.damaged - once.harmless,
+        percent(once.wrong - once.wrong_beyond_noise, once.damaged - once.harmless),
+        percent(once.wrong_beyond_noise, once.damaged - once.harmless),
+    );
+    assert!(once.rejected_share() > 0.9 && once.seen_share() > 0.97, "{once:?}");
 }

@@ -58,7 +58,6 @@ impl Controller {
             return Err(Fault::NotHomed);
         }
         self.within_limits(pan_mdeg, tilt_mdeg)?;
-        self.halt = None;
         let target = [self.mechanics.step(Axis::Pan, pan_mdeg), self.mechanics.step(Axis::Tilt, tilt_mdeg)];
         Ok(self.travel(target, now_us, pins) + self.settle_us())
     }

@@ -7,8 +7,8 @@ use super::ladder::{self, Step, Wait};
 use super::watch::Watch;
 use super::{Layout, Parser, Verdicts};
 
-/// A running tracker that says nothing for so long, thirty periods, is silent.
-const SILENT_US: u64 = 500_000;
+/// A running tracker that says nothing for so long, sixty periods, is silent.
+const SILENT_US: u64 = 1_000_000;
 /// A running tracker that talks for so long without a whole record babbles.
 const BABBLE_US: u64 = 1_000_000;
 /// A tracker that ran for so long has recovered: the next failure is its first.
@@ -272,10 +272,10 @@ impl Driver {
 
     /// A step's time is over: was it what was waited for?
     fn wait_ended(&mut self, number: u8, now_us: u64) {
-        let limit = now_us >= self.since_us.saturating_add(ladder::LIMIT_US);
+        let talks = now_us < self.heard_us.saturating_add(ladder::QUIET_US);
         let reply = self.reply.get(..self.reply_length).unwrap_or_default();
         let failure = match self.step(number).wait {
-            Wait::Quiet if limit => Some("tracker: it does not fall silent"),
+            Wait::Quiet if talks => Some("tracker: it does not fall silent"),
             Wait::Status if reply.is_empty() => Some("tracker: it does not answer"),
             Wait::Status if reply.first() != Some(&b'2') => Some("tracker: its status is not understood"),
             Wait::Record => Some("tracker: no record came"),
@@ -369,5 +369,16 @@ impl Driver {
         if self.records.push_back(record).is_err() {
             self.status.overrun = self.status.overrun.saturating_add(1);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn it_is_small() {
+        // Of the rig's 16 KiB of memory.
+        assert!(size_of::<Driver>() <= 1_536, "{}", size_of::<Driver>());
     }
 }

@@ -5,9 +5,9 @@ use rigel_protocol::{Format, Record};
 use super::continuity::{Continuity, Pair};
 use super::{Layout, Rejected, checks};
 
-/// A record's last byte comes at most so long after its first: even ten-fold stalls of a line at 115 200 baud are
-/// shorter, and two records begin farther apart (60 per second). Halves of two records are never joined.
-const LONGEST_RECORD_US: u64 = 16_000;
+/// A record's bytes follow each other, 87 microseconds each at 115 200 baud; a line may stall for so long within one. The
+/// same byte of the next record comes later (60 records per second), so that halves of two are never joined.
+const LONGEST_PAUSE_US: u64 = 10_000;
 /// After so long without a byte, the time of 46, a binary record of the right length has ended.
 const SILENCE_US: u64 = 4_000;
 /// How many whole records in a row a line must deliver after a broken one before it is trusted again, about half a
@@ -70,7 +70,7 @@ impl Parser {
     /// Hears a byte that came at `at_us`; records are given with count 0.
     pub fn push(&mut self, byte: u8, at_us: u64) -> Verdicts {
         let mut verdicts = self.advance(at_us);
-        if self.length > 0 && at_us.saturating_sub(self.first_us) > LONGEST_RECORD_US {
+        if self.length > 0 && at_us.saturating_sub(self.last_us) > LONGEST_PAUSE_US {
             self.abandon();
         }
         match self.layout.format {

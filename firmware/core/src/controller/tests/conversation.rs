@@ -139,3 +139,51 @@ fn damaged_frames_are_counted() {
     }
     assert_eq!(bench.status().bad_frames, 3);
 }
+
+#[test]
+fn whatever_a_line_loses_doubles_and_delays_every_command_is_executed_once() {
+    let mut bench = Bench::homed();
+    bench.wires.contacts.clear();
+    let mut chance = 1_u64;
+    let mut below = |n: u64| {
+        chance = chance.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (chance >> 33) % n
+    };
+    // What is on the way, each way; what is late stays in front of what is said after it.
+    let (mut to_rig, mut to_host): (Vec<Request>, Vec<Answer>) = (Vec::new(), Vec::new());
+    let commands = 5_000;
+    for _ in 0..commands {
+        bench.sequence = bench.sequence.wrapping_add(1);
+        let command = Command::Trigger(trigger::bracket(0, &[1], 0, 0));
+        let request = Request { sequence: bench.sequence, command };
+        let answered = |answer: &Answer| {
+            answer.sequence == request.sequence && matches!(answer.reply, Reply::Accepted { .. })
+        };
+        for said in 0.. {
+            assert!(said < 1_000, "never answered");
+            (0..below(3)).for_each(|_| to_rig.push(request.clone()));
+            while !to_rig.is_empty() && below(4) > 0 {
+                let heard = to_rig.remove(below(to_rig.len() as u64) as usize);
+                let Handled::Answer(answer) = bench.rig.handle(&heard, bench.wires.now_us, &mut bench.wires)
+                else {
+                    panic!()
+                };
+                let busy = matches!(answer.reply, Reply::Refused(Fault::Busy));
+                assert!(!busy, "only one is said at a time");
+                (0..below(3)).for_each(|_| to_host.push(answer.clone()));
+            }
+            // A photograph and its end.
+            while bench.rig.next_us().is_some() {
+                bench.next();
+            }
+            while to_host.len() > 3 {
+                to_host.remove(below(to_host.len() as u64) as usize);
+            }
+            if to_host.iter().any(answered) {
+                break;
+            }
+        }
+    }
+    let closed = bench.wires.contacts.iter().filter(|(_, shutter, closed)| *shutter && *closed).count();
+    assert_eq!(closed, commands);
+}

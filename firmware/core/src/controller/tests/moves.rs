@@ -139,6 +139,24 @@ fn stop_at_any_moment_keeps_to_the_deceleration_and_loses_nothing() {
 }
 
 #[test]
+fn after_a_stop_on_the_way_down_the_play_is_taken_up_however_near_the_next_target_is() {
+    for above in [0, 1, 4, 30] {
+        let mut bench = Bench::homed();
+        bench.ask(move_to(-90_000, -9_000));
+        bench.wait_us(700_000);
+        bench.ask(Command::Stop);
+        assert!(matches!(bench.event().reply, Reply::Stopped { .. }));
+        let at = bench.rig.steps();
+        let goal = [0, 1].map(|axis| {
+            let step = at[axis] as i32 + above;
+            MECHANICS.mdeg([Axis::Pan, Axis::Tilt][axis], step)
+        });
+        bench.go(goal[0], goal[1]);
+        assert_eq!(bench.wires.surface, at.map(|step| step + i64::from(above)));
+    }
+}
+
+#[test]
 fn stop_while_it_settles_changes_nothing() {
     let mut bench = Bench::homed();
     bench.ask(move_to(3_000, 0));
@@ -149,6 +167,29 @@ fn stop_while_it_settles_changes_nothing() {
     bench.ask(Command::Stop);
     let answer = bench.event();
     assert!(answer.sequence == moving && matches!(answer.reply, Reply::Arrived { .. }));
+}
+
+#[test]
+fn a_board_that_was_late_once_goes_on_as_planned() {
+    let edges = |late_at: usize| {
+        let mut bench = Bench::homed();
+        bench.ask(move_to(0, 40_000));
+        let mut n = 0;
+        loop {
+            bench.wires.now_us = bench.rig.next_us().unwrap() + if n == late_at { 50_000 } else { 0 };
+            if bench.rig.advance(bench.wires.now_us, &mut bench.wires).is_some() {
+                break bench.wires.legs.remove(0).edges_us[1].clone();
+            }
+            n += 1;
+        }
+    };
+    let gaps = |edges: Vec<u64>| edges.windows(2).map(|edges| edges[1] - edges[0]).collect::<Vec<_>>();
+    let planned = gaps(edges(usize::MAX));
+    for late_at in [1, 20, 200, 1_300] {
+        let kept = gaps(edges(late_at));
+        assert!(kept.iter().zip(&planned).all(|(kept, planned)| *kept >= planned - planned / 8));
+        assert!(kept.iter().sum::<u64>() <= planned.iter().sum::<u64>() + 50_000, "and nothing is slower");
+    }
 }
 
 #[test]
