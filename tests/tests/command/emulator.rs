@@ -57,7 +57,6 @@ fn the_image_captures_thirty_views_while_the_tracker_talks() {
     let told = [output.stdout, output.stderr].map(|text| String::from_utf8_lossy(&text).into_owned());
     assert!(output.status.success(), "{told:?}\n{:?}", board.edges());
     let said = tracker.tracker().take_said();
-    if let Some(keep) = std::env::var_os("KEEP") { let _ = std::process::Command::new("cp").arg("-r").arg(folder.path().join("session")).arg(keep).status(); }
     drop(camera);
 
     let frames = check_photographs(&folder.path().join("session"), &board.edges());
@@ -112,7 +111,9 @@ fn check_records(session: &Path, said: &[Record]) -> usize {
     let text = fs::read_to_string(session.join(TRACKER_FILE)).unwrap();
     let lines: Vec<TrackerLine> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     let said = said.iter().map(|said| {
-        TrackerLine::from(TrackerRecord::new(std::time::UNIX_EPOCH, 0.0, said).expect("no quaternion is zero"))
+        TrackerLine::from(
+            TrackerRecord::new(std::time::UNIX_EPOCH, 0.0, said).expect("no quaternion is zero"),
+        )
     });
     let said: Vec<TrackerLine> = said.collect();
     let near = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9);
