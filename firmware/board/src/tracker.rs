@@ -39,9 +39,10 @@ pub async fn run(mut say: BufferedUartTx<'static>, mut hear: BufferedUartRx<'sta
                 // An error is noise on the line: the driver's checks tell.
                 let count = count.unwrap_or(0);
                 let now_us = now_us();
-                // The last of them has just ended.
-                let before_us = BYTE_US * (count as u64).saturating_sub(1);
-                driver.bytes(&bytes[..count], now_us.saturating_sub(before_us).max(last_us));
+                for (&byte, after) in bytes[..count].iter().zip((0..count as u64).rev()) {
+                    // The last of them has just ended.
+                    driver.byte(byte, now_us.saturating_sub(BYTE_US * after).max(last_us));
+                }
                 last_us = now_us;
             }
             Either3::Third(()) => {}
