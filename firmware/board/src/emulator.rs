@@ -1,6 +1,7 @@
 //! What QEMU needs (`netduinoplus2`, an STM32F405): nothing of this is in the image for the chip.
 
 mod clock;
+pub mod line;
 mod registers;
 pub mod rig;
 

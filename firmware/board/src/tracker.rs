@@ -16,20 +16,21 @@ use crate::{BAUD, host};
 pub static REQUESTS: Channel<CriticalSectionRawMutex, Request, 1> = Channel::new();
 
 /// Start, eight bits, stop.
-const BYTE_US: u64 = 10 * 1_000_000 / BAUD as u64;
+pub const BYTE_US: u64 = 10 * 1_000_000 / BAUD as u64;
 
 /// Runs the tracker's driver.
 #[embassy_executor::task]
 pub async fn run(mut say: BufferedUartTx<'static>, mut hear: BufferedUartRx<'static>) -> ! {
     let mut driver = Driver::new();
     let mut bytes = [0; 64];
-    let mut last_us = 0;
+    let mut line = Line::new();
     loop {
-        let due = driver.next_us().map_or(Instant::MAX, Instant::from_micros);
+        let due = driver.next_us().map(|us| line.wake_us(us, now_us()));
+        let due = due.map_or(Instant::MAX, Instant::from_micros);
         match select3(REQUESTS.receive(), hear.read(&mut bytes), Timer::at(due)).await {
             Either3::First(Request { sequence, command }) => {
                 let outcome = match command {
-                    Command::Track(tracking) => driver.track(tracking, sequence, now_us()),
+                    Command::Track(tracking) => driver.track(tracking, sequence, line.now_us(now_us())),
                     _ => Ok(()),
                 };
                 let reply = outcome.map_or_else(Reply::Refused, |()| Reply::Tracker(driver.status()));
@@ -40,14 +41,12 @@ pub async fn run(mut say: BufferedUartTx<'static>, mut hear: BufferedUartRx<'sta
                 let count = count.unwrap_or(0);
                 let now_us = now_us();
                 for (&byte, after) in bytes[..count].iter().zip((0..count as u64).rev()) {
-                    // The last of them has just ended.
-                    driver.byte(byte, now_us.saturating_sub(BYTE_US * after).max(last_us));
+                    driver.byte(byte, line.stamp_us(now_us, after));
                 }
-                last_us = now_us;
             }
             Either3::Third(()) => {}
         }
-        while let Some(output) = driver.advance(now_us()) {
+        while let Some(output) = driver.advance(line.now_us(now_us())) {
             let reply = match output {
                 // There is no error that this line could tell.
                 TrackerOutput::Send(bytes) => {
@@ -67,5 +66,38 @@ pub async fn run(mut say: BufferedUartTx<'static>, mut hear: BufferedUartRx<'sta
             };
             let _ = host::ANSWERS.try_send(Answer { sequence: driver.sequence(), reply });
         }
+    }
+}
+
+#[cfg(feature = "emulator")]
+use crate::emulator::line::Line;
+
+/// The time on the line, which is the time.
+#[cfg(not(feature = "emulator"))]
+struct Line {
+    read_us: u64,
+}
+
+#[cfg(not(feature = "emulator"))]
+impl Line {
+    const fn new() -> Self {
+        Self { read_us: 0 }
+    }
+
+    /// The stamp of a byte that was read at `now_us` with so many after it, of which the last has just ended.
+    fn stamp_us(&mut self, now_us: u64, after: u64) -> u64 {
+        let stamp_us = now_us.saturating_sub(BYTE_US * after).max(self.read_us);
+        if after == 0 {
+            self.read_us = now_us;
+        }
+        stamp_us
+    }
+
+    fn now_us(&self, now_us: u64) -> u64 {
+        now_us
+    }
+
+    fn wake_us(&self, due_us: u64, _now_us: u64) -> u64 {
+        due_us
     }
 }

@@ -127,6 +127,16 @@ fn check_records(session: &Path, said: &[Record]) -> usize {
     let first = first.unwrap_or_else(|| panic!("{:?} is none of the first records", lines[0]));
     assert!(lines.len() > 600, "{} records", lines.len());
     assert!(first + lines.len() <= said.len(), "{first} and {} of {}", lines.len(), said.len());
+    let missing = {
+        let mut left = said[first..].iter();
+        let skipped = lines.iter().map(|line| left.by_ref().take_while(|said| !same(line, said)).count());
+        skipped.enumerate().filter(|(_, skipped)| *skipped > 0).collect::<Vec<_>>()
+    };
+    assert!(
+        missing.is_empty(),
+        "of {} records are missing, before which and how many: {missing:?}",
+        lines.len()
+    );
     let mut before = 0.0;
     for ((count, line), said) in (0..).zip(&lines).zip(&said[first..]) {
         assert_eq!(line.count, count, "a record was lost on the way");
