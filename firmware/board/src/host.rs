@@ -11,8 +11,8 @@ use crate::motion::{HEARD, Heard};
 
 /// What is to be said. An answer that finds no room is lost; the host asks again.
 pub static ANSWERS: Channel<CriticalSectionRawMutex, Answer, 8> = Channel::new();
-/// The tracker's records, which wait while there are answers.
-pub static RECORDS: Channel<CriticalSectionRawMutex, Answer, 8> = Channel::new();
+/// The tracker's records, which wait while there are answers: half a second of them.
+pub static RECORDS: Channel<CriticalSectionRawMutex, Answer, 32> = Channel::new();
 
 /// Hears requests.
 #[embassy_executor::task]

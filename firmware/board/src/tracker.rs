@@ -41,7 +41,7 @@ pub async fn run(mut say: BufferedUartTx<'static>, mut hear: BufferedUartRx<'sta
                 let count = count.unwrap_or(0);
                 let now_us = now_us();
                 for (&byte, after) in bytes[..count].iter().zip((0..count as u64).rev()) {
-                    driver.byte(byte, line.stamp_us(now_us, after));
+                    driver.byte(byte, line.stamp_us(byte, now_us, after));
                 }
             }
             Either3::Third(()) => {}
@@ -85,7 +85,7 @@ impl Line {
     }
 
     /// The stamp of a byte that was read at `now_us` with so many after it, of which the last has just ended.
-    fn stamp_us(&mut self, now_us: u64, after: u64) -> u64 {
+    fn stamp_us(&mut self, _byte: u8, now_us: u64, after: u64) -> u64 {
         let stamp_us = now_us.saturating_sub(BYTE_US * after).max(self.read_us);
         if after == 0 {
             self.read_us = now_us;

@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 use image::ImageEncoder;
 use rigel::camera::exif;
 use rigel::capture::{TRACKER_FILE, TrackerLine};
+use rigel::rig::SerialRig;
 use rigel::session::Session;
 use rigel::tracker::TrackerRecord;
 use rigel_protocol::Record;
@@ -22,7 +23,7 @@ mod emulated;
 
 use emulated::{Board, Edges};
 
-const VIEWS: usize = 30;
+const VIEWS: usize = 4;
 /// What a contact can expose at the shortest is a sixtieth of a second: two photographs for every view.
 const BRACKET_S: [f64; 2] = [1.0 / 30.0, 1.0 / 60.0];
 /// As `firmware/board/src/rig.rs` has it.
@@ -58,6 +59,8 @@ fn the_image_captures_thirty_views_while_the_tracker_talks() {
     assert!(output.status.success(), "{told:?}\n{:?}", board.edges());
     let said = tracker.tracker().take_said();
     drop(camera);
+    let status = SerialRig::greet(&board.port_name).unwrap().tracker().unwrap();
+    println!("{status:?}");
 
     let frames = check_photographs(&folder.path().join("session"), &board.edges());
     let records = check_records(&folder.path().join("session"), &said);
