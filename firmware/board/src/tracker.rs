@@ -55,7 +55,10 @@ pub async fn run(mut say: BufferedUartTx<'static>, mut hear: BufferedUartRx<'sta
                 }
                 TrackerOutput::Record(record) => {
                     let answer = Answer { sequence: driver.sequence(), reply: Reply::Record(record) };
-                    if host::RECORDS.try_send(answer).is_err() {
+                    if cfg!(feature = "emulator") {
+                        // What came at once waits: see `TRACKER_ROOM`.
+                        host::RECORDS.send(answer).await;
+                    } else if host::RECORDS.try_send(answer).is_err() {
                         driver.lost();
                     }
                     continue;
