@@ -29,7 +29,7 @@ use embassy_stm32::{bind_interrupts, peripherals};
 use embassy_time::Timer;
 use heapless::String;
 use rigel_firmware_core::Controller;
-use static_cell::StaticCell;
+use static_cell::ConstStaticCell;
 
 use crate::pins::Wires;
 
@@ -81,16 +81,17 @@ fn main() -> ! {
     core::mem::forget(output(chip.PC4));
     let flash_sync = ExtiInput::new(chip.PB14, chip.EXTI14, Pull::Up, Interrupts);
 
-    static HOST: StaticCell<([u8; 256], [u8; 256])> = StaticCell::new();
-    static TRACKER: StaticCell<([u8; 64], [u8; TRACKER_ROOM])> = StaticCell::new();
+    static HOST: ConstStaticCell<([u8; 256], [u8; 256])> = ConstStaticCell::new(([0; 256], [0; 256]));
+    static TRACKER: ConstStaticCell<([u8; 64], [u8; TRACKER_ROOM])> =
+        ConstStaticCell::new(([0; 64], [0; TRACKER_ROOM]));
     let mut config = usart::Config::default();
     config.baudrate = BAUD;
     // Every byte wakes its reader: the tracker's are stamped.
     config.eager_reads = Some(1);
-    let (sent, received) = HOST.init(([0; 256], [0; 256]));
+    let (sent, received) = HOST.take();
     let host = BufferedUart::new(chip.USART1, chip.PA10, chip.PA9, sent, received, Interrupts, config)
         .expect("115200 baud fit the clock");
-    let (sent, received) = TRACKER.init(([0; 64], [0; TRACKER_ROOM]));
+    let (sent, received) = TRACKER.take();
     let tracker = BufferedUart::new(chip.USART2, chip.PA3, chip.PA2, sent, received, Interrupts, config)
         .expect("115200 baud fit the clock");
 
