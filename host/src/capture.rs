@@ -10,6 +10,10 @@ use crate::session::{
 };
 use crate::{Error, Result};
 
+mod tracker;
+
+pub use tracker::{Line as TrackerLine, TRACKER_FILE, TrackerLog};
+
 /// What a capture will take.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Plan {

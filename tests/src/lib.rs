@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+pub mod image;
+
 /// The folder of real test data: `RIGEL_DATA`, or `../shared/data` beside the checkout.
 ///
 /// Returns `None`, after saying so in one line, where `part` is not there; with `CI` set that is a failure.

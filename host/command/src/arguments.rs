@@ -60,6 +60,9 @@ pub struct Capture {
     /// collected afterwards, or `trigger:FOLDER`, where they appear; `folder:FOLDER`, which somebody else fills
     #[arg(long, default_value = "simulated", value_parser = CameraChoice::parse)]
     pub camera: CameraChoice,
+    /// Record the tracker at the rig meanwhile, in tracker.jsonl beside the journal
+    #[arg(long)]
+    pub tracker: bool,
     /// How directions are chosen
     #[arg(long, value_enum, default_value = "icosphere")]
     pub sampling: SamplingChoice,

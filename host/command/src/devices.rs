@@ -9,7 +9,7 @@ use rigel::camera::Camera;
 use rigel::camera::folder::FolderCamera;
 use rigel::camera::trigger::{Shutter, TriggerCamera};
 use rigel::geometry::{Lens, Surface};
-use rigel::rig::{Reached, Rig, RigLimits, SerialRig, TriggerLine};
+use rigel::rig::{Format, Output, Reached, Records, Rig, RigLimits, SerialRig, Tracking, TriggerLine};
 use rigel::session::Session;
 use rigel::{Error, Result};
 use rigel_simulated::camera::{Options, SimulatedCamera};
@@ -40,6 +40,8 @@ pub struct Devices {
     pub camera: Box<dyn Camera>,
     /// Of the simulated camera alone the place and the lens are known before they are measured.
     pub known: Option<Known>,
+    /// Where the tracker's records arrive, where they were asked for.
+    pub records: Option<Records>,
     /// The simulated rig is unplugged when this is dropped.
     _simulated: Option<SimulatedRig>,
 }
@@ -59,7 +61,7 @@ impl Devices {
     ///
     /// # Errors
     /// [`Error::Device`] when the rig or the camera does not answer, [`Error::Io`] when a camera's folder cannot be read.
-    pub fn open(rig: &str, camera: &CameraChoice, session: &Path) -> Result<Self> {
+    pub fn open(rig: &str, camera: &CameraChoice, session: &Path, tracker: bool) -> Result<Self> {
         let opened = match camera {
             CameraChoice::Webcam(index) => Some(webcam(*index)?),
             CameraChoice::Folder(folder) => {
@@ -69,20 +71,23 @@ impl Devices {
             _ => None,
         };
         let line: TriggerLine;
+        let records: Option<Records>;
         let (rig, position, simulated): (Box<dyn Rig>, Position, _) = if rig == "simulated" {
             let simulated = simulated_rig()?;
             let position = simulated.position();
-            let rig = greet(simulated.port_name())?;
+            let mut rig = greet(simulated.port_name())?;
             line = rig.trigger_line();
+            records = tracker.then(|| track(&mut rig)).transpose()?;
             let where_it_is = move || {
                 let now = position.now();
                 (now.pan_rad, now.tilt_rad)
             };
             (Box::new(rig), Box::new(where_it_is), Some(simulated))
         } else {
-            let rig = Reporting { rig: greet(rig)?, at: Rc::default() };
+            let mut rig = Reporting { rig: greet(rig)?, at: Rc::default() };
             let at = rig.at.clone();
             line = rig.rig.trigger_line();
+            records = tracker.then(|| track(&mut rig.rig)).transpose()?;
             (Box::new(rig), Box::new(move || at.get()), None)
         };
         let (camera, known): (Box<dyn Camera>, _) = match (camera, opened) {
@@ -95,7 +100,7 @@ impl Devices {
                 (Box::new(camera), Some(known))
             }
         };
-        Ok(Self { rig, camera, known, _simulated: simulated })
+        Ok(Self { rig, camera, known, records, _simulated: simulated })
     }
 
     /// What the session's manifest says of them.
@@ -142,6 +147,13 @@ fn webcam(index: u32) -> Result<Box<dyn Camera>> {
 #[cfg(not(feature = "webcam"))]
 fn webcam(_: u32) -> Result<Box<dyn Camera>> {
     Err(Error::request("this rigel was built without webcams", "build it with `--features webcam`"))
+}
+
+/// Starts the tracker, one receiver.
+fn track(rig: &mut SerialRig) -> Result<Records> {
+    let records = rig.records();
+    rig.track(Tracking { stations: 1, format: Format::Ascii, output: Output::Quaternion })?;
+    Ok(records)
 }
 
 /// The rig's contact, as a camera knows it.

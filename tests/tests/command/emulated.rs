@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 /// The image with the feature `emulator`, and QEMU; `None`, after saying what is missing, where one of them is not there.
 /// With `CI` set that is a failure.
@@ -29,6 +29,15 @@ pub fn image() -> Option<PathBuf> {
     None
 }
 
+/// The shutter's contact has closed.
+#[derive(Debug, Clone, Copy)]
+pub struct Photograph {
+    /// Where the rig stood, see [`Edges::position`].
+    pub at: [i64; 2],
+    /// When this was heard.
+    pub time: SystemTime,
+}
+
 /// What the outputs have done since the start. Pairs are pan and tilt.
 #[derive(Debug, Clone, Default)]
 pub struct Edges {
@@ -36,8 +45,8 @@ pub struct Edges {
     pub position: [i64; 2],
     /// Steps in any direction.
     pub steps: [u64; 2],
-    /// Where each photograph was begun.
-    pub photographs: Vec<[i64; 2]>,
+    /// Every photograph that was begun.
+    pub photographs: Vec<Photograph>,
     /// How many photographs have ended.
     pub ended: usize,
     /// Steps while a photograph was taken.
@@ -82,7 +91,7 @@ impl Edges {
             }
         }
         if rises(PORT_B, SHUTTER, self.levels) {
-            self.photographs.push(self.position);
+            self.photographs.push(Photograph { at: self.position, time: SystemTime::now() });
             self.unfocused += u64::from(self.levels[PORT_B] & HALF_PRESS == 0);
         }
         self.ended += usize::from(before[PORT_B] & !self.levels[PORT_B] & SHUTTER != 0);

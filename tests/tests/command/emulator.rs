@@ -1,41 +1,174 @@
 //! The command captures with the firmware's image in an emulator, and a simulated tracker on the image's second line.
+//!
+//! Nothing here depends on how fast the emulator is.
 
-use std::process::Stdio;
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use image::ImageEncoder;
+use rigel::camera::exif;
+use rigel::capture::{TRACKER_FILE, TrackerLine};
 use rigel::session::Session;
+use rigel::tracker::TrackerRecord;
+use rigel_protocol::Record;
 use rigel_simulated::tracker::{Tracker, TrackerOptions, TrackerRunner, gentle};
+use rigel_tests::image::Image;
 
 mod emulated;
 
-use emulated::Board;
+use emulated::{Board, Edges};
 
 const VIEWS: usize = 30;
+/// What a contact can expose at the shortest is a sixtieth of a second: two photographs for every view.
+const BRACKET_S: [f64; 2] = [1.0 / 30.0, 1.0 / 60.0];
+/// As `firmware/board/src/rig.rs` has it.
+const STEPS_PER_TURN: f64 = 16_000.0;
+/// A stack of 4 KiB leaves more than a hundred free.
+const DEEPEST_STACK: usize = 4096;
 
 #[test]
-fn the_image_captures() {
+fn the_image_captures_thirty_views_while_the_tracker_talks() {
     let Some(image) = emulated::image() else { return };
     let (board, tracker_line) = Board::start(&image);
     tracker_line.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
     let tracker = TrackerRunner::start(Tracker::new(TrackerOptions::default(), gentle()), tracker_line);
     let folder = tempfile::tempdir().unwrap();
+    let card = folder.path().join("card");
+    fs::create_dir(&card).unwrap();
+    let camera = Camera::start(board.watch(), &card);
+
     let start = Instant::now();
-    let output = std::process::Command::new(env!("CARGO_BIN_EXE_rigel"))
+    let [view_count, longest_s] = [VIEWS.to_string(), BRACKET_S[0].to_string()];
+    let output = Command::new(env!("CARGO_BIN_EXE_rigel"))
         .current_dir(folder.path())
-        .args(["capture", "session", "--rig", &board.port_name, "--sampling", "spiral", "--views", "30"])
-        .args(["--zenith-limit", "40"])
+        .args(["capture", "session", "--rig", &board.port_name, "--camera", "trigger:card", "--tracker"])
+        .args(["--sampling", "spiral", "--views", &view_count, "--zenith-limit", "40"])
+        .args(["--longest-exposure-time", &longest_s])
         .stdin(Stdio::null())
         .output()
         .unwrap();
-    eprintln!(
-        "{:?} {}{}",
-        start.elapsed(),
-        String::from_utf8_lossy(&output.stdout),
-        String::from_utf8_lossy(&output.stderr)
+    let took = start.elapsed();
+    let told = [output.stdout, output.stderr].map(|text| String::from_utf8_lossy(&text).into_owned());
+    assert!(output.status.success(), "{told:?}\n{:?}", board.edges());
+    let said = tracker.tracker().take_said();
+    drop(camera);
+
+    let frames = check_photographs(&folder.path().join("session"), &board.edges());
+    let records = check_records(&folder.path().join("session"), &said);
+    let parts = Image::read(&image).unwrap();
+    let stack = parts.deepest_stack(&board.memory(parts.stack_end, parts.stack_start - parts.stack_end));
+    println!(
+        "{VIEWS} views, {frames} photographs, {records} records in {:.0} s; deepest stack {stack} bytes",
+        took.as_secs_f64()
     );
-    eprintln!("{:?}", board.edges());
-    assert!(output.status.success());
-    let session = Session::open(&folder.path().join("session")).unwrap();
+    assert!((1..=DEEPEST_STACK).contains(&stack), "{stack}");
+}
+
+/// Every photograph was taken where the session says, standing still; tells how many there are.
+fn check_photographs(session: &Path, edges: &Edges) -> usize {
+    let session = Session::open(session).unwrap();
     assert_eq!(session.done_views().len(), VIEWS);
-    drop(tracker);
+    let frames: usize = (0..VIEWS).map(|view| session.photographs(view).len()).sum();
+    assert_eq!(frames, VIEWS * BRACKET_S.len());
+    assert_eq!(
+        (edges.photographs.len(), edges.ended),
+        (frames, frames),
+        "frames are neither lost nor doubled"
+    );
+    assert_eq!((edges.blurred, edges.unfocused, edges.enabled), (0, 0, true));
+
+    let step = |degrees: Option<f64>| {
+        // What is commanded is a whole number of thousandths of a degree, and the nearest step to that.
+        let mdeg = (degrees.unwrap() * 1e3).round();
+        (mdeg * STEPS_PER_TURN / 360e3).round() as i64
+    };
+    let commanded: Vec<[i64; 2]> = (0..VIEWS)
+        .flat_map(|view| {
+            let count = session.photographs(view).len();
+            let view = &session.manifest.views[view];
+            std::iter::repeat_n([step(view.pan_deg), step(view.tilt_deg)], count)
+        })
+        .collect();
+    // Where the rig stood when the power came, nobody knows; from then on every step counts.
+    let zero = [0, 1].map(|axis| edges.photographs[0].at[axis] - commanded[0][axis]);
+    for (photograph, commanded) in edges.photographs.iter().zip(&commanded) {
+        assert_eq!([0, 1].map(|axis| photograph.at[axis] - zero[axis]), *commanded);
+    }
+    let ways = [0, 1].map(|axis| commanded.iter().map(|at| at[axis]).max().unwrap());
+    assert!(ways.iter().all(|&way| way > 100), "the views are apart: {ways:?}");
+    frames
+}
+
+/// Every record that the tracker said until the last that was written is there, unchanged; tells how many there are.
+fn check_records(session: &Path, said: &[Record]) -> usize {
+    let text = fs::read_to_string(session.join(TRACKER_FILE)).unwrap();
+    let lines: Vec<TrackerLine> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert!(lines.len() > 60, "{} records", lines.len());
+    assert!(lines.len() <= said.len());
+    let mut before = None;
+    for ((count, line), said) in (0..).zip(&lines).zip(said) {
+        assert_eq!(line.count, count, "a record was lost on the way");
+        let expected = TrackerLine::from(TrackerRecord::new(std::time::UNIX_EPOCH, 0.0, said).unwrap());
+        assert_eq!((line.station, line.status), (expected.station, expected.status), "record {count}");
+        let same = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9);
+        assert!(same(&line.position_m, &expected.position_m), "record {count}: {line:?} {expected:?}");
+        assert!(same(&line.orientation, &expected.orientation), "record {count}: {line:?} {expected:?}");
+        assert!(before <= Some(line.at_s), "record {count} came before the one before it");
+        before = Some(line.at_s);
+    }
+    lines.len()
+}
+
+/// The camera on the trigger line: whenever its contact has been opened, a photograph appears on its card.
+struct Camera {
+    ended: Arc<AtomicBool>,
+    thread: Option<std::thread::JoinHandle<()>>,
+}
+
+impl Camera {
+    fn start(edges: Arc<Mutex<Edges>>, card: &Path) -> Self {
+        let (ended, card) = (Arc::new(AtomicBool::new(false)), card.to_path_buf());
+        let thread = {
+            let ended = ended.clone();
+            std::thread::spawn(move || {
+                let mut stored = 0;
+                while !ended.load(Ordering::Relaxed) {
+                    let next = {
+                        let edges = edges.lock().unwrap();
+                        (edges.ended > stored).then(|| edges.photographs[stored].time)
+                    };
+                    let Some(time) = next else {
+                        std::thread::sleep(Duration::from_millis(2));
+                        continue;
+                    };
+                    let mut jpeg = Vec::new();
+                    let mut encoder = image::codecs::jpeg::JpegEncoder::new(&mut jpeg);
+                    let exposure_s = BRACKET_S[stored % BRACKET_S.len()];
+                    encoder.set_exif_metadata(exif::block(exposure_s, Some(time))).unwrap();
+                    // The first of a view is overexposed, and no photograph is quite like another.
+                    let grey = [255, 160][stored % BRACKET_S.len()];
+                    let pixels: Vec<u8> = (0..16 * 16).map(|i| if i < stored { 90 } else { grey }).collect();
+                    encoder.write_image(&pixels, 16, 16, image::ExtendedColorType::L8).unwrap();
+                    let name = card.join(format!("dsc{stored:04}"));
+                    fs::write(&name, jpeg).unwrap();
+                    fs::rename(&name, name.with_extension("jpg")).unwrap();
+                    stored += 1;
+                }
+            })
+        };
+        Self { ended, thread: Some(thread) }
+    }
+}
+
+impl Drop for Camera {
+    fn drop(&mut self) {
+        self.ended.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
 }

@@ -1,7 +1,7 @@
 //! `rigel capture`: a rig and a camera make a session.
 
 use glam::DVec3;
-use rigel::capture::{self, Plan, add_views, plan};
+use rigel::capture::{self, Plan, TrackerLog, add_views, plan};
 use rigel::sampling::{Stop, icosphere_near, latitude_longitude_near, spiral, stratified, tour};
 use rigel::session::{self, Manifest, Session};
 use rigel::{Error, Result};
@@ -16,7 +16,12 @@ use crate::say::say;
 pub fn capture(arguments: &Capture) -> Result<()> {
     // First of all: whoever may not write into the session need not bother the rig.
     let begun = if arguments.resume { Some(begun(arguments)?) } else { None };
-    let mut devices = Devices::open(&arguments.rig, &arguments.camera, &arguments.session)?;
+    let mut devices = Devices::open(
+        &arguments.rig,
+        &arguments.camera,
+        &arguments.session,
+        arguments.tracker && !arguments.dry_run,
+    )?;
     let (manifest, done) = match &begun {
         Some(session) => (session.manifest.clone(), session.done_views()),
         None => {
@@ -40,12 +45,17 @@ pub fn capture(arguments: &Capture) -> Result<()> {
     if session.flats()?.is_empty() {
         devices.photograph_flats(&mut session)?;
     }
+    let log =
+        devices.records.take().map(|records| TrackerLog::start(records, session.folder())).transpose()?;
     capture::capture(&mut session, &mut *devices.rig, &mut *devices.camera, &Bar::new("capturing"))
         .inspect_err(|error| {
             if matches!(error, Error::Interrupted) {
                 say!("go on with: rigel capture {} --resume", arguments.session.display());
             }
         })?;
+    if let Some(log) = log {
+        say!("{} records of the tracker", log.finish()?);
+    }
     let waiting = session.waiting().len();
     if waiting > 0 {
         say!(
