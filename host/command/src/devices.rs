@@ -152,7 +152,7 @@ fn webcam(_: u32) -> Result<Box<dyn Camera>> {
 /// Starts the tracker, one receiver.
 fn track(rig: &mut SerialRig) -> Result<Records> {
     let records = rig.records();
-    rig.track(Tracking { stations: 1, format: Format::Ascii, output: Output::Quaternion })?;
+    rig.track(Tracking { stations: 1, format: Format::Binary, output: Output::Quaternion })?;
     Ok(records)
 }
 

@@ -109,8 +109,9 @@ extern "C" fn access(stacked: &mut [u32; 8], kept: &mut [u32; 8]) {
             if access.load {
                 *register = read_volatile(pointer) & mask;
             } else {
-                let is_status = address & 0x1f == 0;
-                write_volatile(pointer, *register & mask | if is_status { RXNE } else { 0 });
+                // With a high bit set, QEMU clears the bits that are zero, as the chip does.
+                let others = if address & 0x1f == 0 { !0x3ff | RXNE } else { 0 };
+                write_volatile(pointer, *register & mask | others);
             }
         }
     } else {
