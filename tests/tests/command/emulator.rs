@@ -29,8 +29,8 @@ const BRACKET_S: [f64; 2] = [1.0 / 30.0, 1.0 / 60.0];
 const STEPS_PER_TURN: f64 = 16_000.0;
 /// Within so many records the rig must have found its way into the tracker's.
 const FIRST_RECORDS: usize = 60;
-/// A stack of 4 KiB leaves more than a hundred free.
-const DEEPEST_STACK: usize = 4096;
+/// Of the 120 KiB that are free.
+const DEEPEST_STACK: usize = 16 * 1024;
 
 #[test]
 fn the_image_captures_thirty_views_while_the_tracker_talks() {
