@@ -2,6 +2,8 @@
 //!
 //! Nothing here depends on how fast the emulator is.
 
+#![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
+
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
