@@ -173,7 +173,7 @@ fn a_rig_that_restarts_between_moves_is_homed_again() {
 #[test]
 fn a_cable_that_is_out_for_longer_than_the_dead_man_bears_stops_the_rig_until_it_is_homed() {
     let (mut simulated, names) = (simulated(2.0, Faults::default()), Names::default());
-    let timing = Timing { dead_man: Duration::from_millis(400), ..Timing::default() };
+    let timing = Timing { dead_man: Duration::from_millis(800), ..Timing::default() };
     let mut rig = greet_among(&simulated, &names, timing);
     rig.home().unwrap();
     let mover = move_in_background(rig);
@@ -185,7 +185,7 @@ fn a_cable_that_is_out_for_longer_than_the_dead_man_bears_stops_the_rig_until_it
     let mut rig = mover.join().unwrap().unwrap();
     assert_at(&simulated, GOAL_RAD);
     let notices = rig.take_notices().join("\n");
-    assert!(notices.contains("heard nothing for 0.4 s") && !notices.contains(RESTARTED), "{notices}");
+    assert!(notices.contains("heard nothing for 0.8 s") && !notices.contains(RESTARTED), "{notices}");
 }
 
 #[test]
@@ -208,18 +208,18 @@ fn whoever_listens_hears_of_the_cable_while_it_is_out() {
 #[test]
 fn a_rig_that_does_not_come_back_is_an_error_in_time() {
     let mut simulated = simulated(8.0, Faults::default());
-    let timing = Timing { return_time: Duration::from_millis(300), ..Timing::default() };
+    let timing = Timing { return_time: Duration::from_secs(2), ..Timing::default() };
     let place = SerialPlace::new(simulated.port_name());
     let mut rig = SerialRig::greet_at(Box::new(place), timing).unwrap();
     rig.home().unwrap();
     simulated.unplug();
     let start = Instant::now();
     let error = rig.move_to(1.0, 0.0).unwrap_err().to_string();
-    assert!(start.elapsed() < Duration::from_secs(2));
+    assert!(start.elapsed() < Duration::from_secs(20), "it hung");
     assert!(error.starts_with(simulated.port_name()) && error.contains("did not come back"), "{error}");
     // It has not been forgotten since when: the next request does not wait as long again.
     let start = Instant::now();
-    assert!(rig.move_to(1.0, 0.0).is_err() && start.elapsed() < Duration::from_millis(250));
+    assert!(rig.move_to(1.0, 0.0).is_err() && start.elapsed() < Duration::from_secs(1));
 }
 
 #[test]
@@ -303,7 +303,7 @@ fn a_rig_that_falls_silent_is_given_up() {
         .and_then(|mut rig| rig.move_to(1.0, 0.0).and_then(|_| rig.move_to(0.0, 0.0)));
     let error = outcome.unwrap_err().to_string();
     assert!(error.contains("no answer") && error.contains("other messages were heard"), "{error}");
-    assert!(start.elapsed() < Duration::from_secs(8));
+    assert!(start.elapsed() < Duration::from_secs(60), "it hung");
 }
 
 /// Something else at the other end of a line: it hears bytes and says others.
@@ -348,7 +348,7 @@ impl Drop for Other {
 fn refused(name: &str) -> String {
     let start = Instant::now();
     let error = SerialRig::greet(name).err().unwrap().to_string();
-    assert!(start.elapsed() < Duration::from_secs(5), "it hung");
+    assert!(start.elapsed() < Duration::from_secs(30), "it hung");
     assert!(error.starts_with(name), "{error}");
     error
 }

@@ -1,7 +1,5 @@
 //! The dry run against the simulated rig: the same moves, in the rig's own time.
 
-#![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
-
 use rigel::rig::{Rig, RigLimits, SerialRig};
 use rigel::sampling::{icosphere, spiral, tour};
 use rigel_protocol::{Fault, Reply};

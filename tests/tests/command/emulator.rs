@@ -2,6 +2,8 @@
 //!
 //! No time is asserted; but the emulator must keep up with a host that expects answers within two seconds.
 
+#![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
+
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};

@@ -145,7 +145,7 @@ fn the_second_of_two_captures_is_refused_and_a_dead_one_is_not_in_the_way() {
     let capture = ["capture", "session", "--views", "17", "--longest-exposure-time", "0.02"];
     let mut first = rigel(folder.path(), &capture).stdout(Stdio::null()).spawn().unwrap();
     let journal = folder.path().join("session/journal.jsonl");
-    while fs::read_to_string(&journal).is_ok_and(|text| text.contains("view_done")) == false {
+    while !fs::read_to_string(&journal).is_ok_and(|text| text.contains("view_done")) {
         assert!(first.try_wait().unwrap().is_none(), "the first capture ended too early");
         std::thread::sleep(Duration::from_millis(2));
     }

@@ -146,3 +146,13 @@ fn a_webcam_that_is_not_there_is_named() {
     assert_refused("no webcam", &output, &["webcam 7"]);
     assert!(!folder.path().join("session").exists());
 }
+
+#[test]
+fn what_is_attached_is_listed_by_the_name_that_capture_takes() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = rigel(folder.path(), &["devices"]);
+    let output = command.env("LD_PRELOAD", std::env::var_os("WEBCAM_SHIM").unwrap()).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let listed = String::from_utf8_lossy(&output.stdout);
+    assert!(listed.lines().any(|line| line == "webcam:0: Simulated webcam"), "{listed}");
+}
