@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use super::matching::CameraFile;
 use super::{Camera, Shot, Taken};
-use crate::file::write_bytes;
+use crate::file::{self, write_bytes};
 use crate::{Error, Result};
 
 /// The file types that are taken for photographs: those that [`crate::picture::Picture::read`] can read.
@@ -125,34 +125,27 @@ pub struct FolderCamera {
     inbox: Inbox,
     wait: Duration,
     last: Option<CameraFile>,
-    /// What was taken, by its content.
-    taken: HashMap<u64, PathBuf>,
+    /// What was taken, by the SHA-256 of its bytes.
+    taken: HashMap<String, PathBuf>,
 }
 
 impl FolderCamera {
     /// A folder whose photographs, those that are there and those that will come, are taken in the order of their names. Each
-    /// may take `wait` to come. Copies of what is in the folder `taken` were taken before an interruption: they are not taken
-    /// again.
+    /// may take `wait` to come. What was `taken` before an interruption, by the SHA-256 of its bytes in hexadecimal digits (see
+    /// [`crate::session::Session::taken`]), is not taken again.
     ///
     /// # Errors
-    /// [`Error::Io`] when a folder cannot be read.
-    pub fn open(folder: &Path, taken: &Path, wait: Duration) -> Result<Self> {
+    /// [`Error::Io`] when the folder or a file in it cannot be read.
+    pub fn open(folder: &Path, taken: HashMap<String, PathBuf>, wait: Duration) -> Result<Self> {
         let mut inbox = Inbox::new(folder)?;
-        let mut contents = HashMap::new();
-        for path in if taken.is_dir() { list(taken)?.0 } else { vec![] } {
-            // What is damaged there is taken again.
-            if let Ok(file) = CameraFile::read(&path) {
-                contents.insert(file.content, path);
-            }
-        }
-        if !contents.is_empty() {
+        if !taken.is_empty() {
             for path in inbox.new_files()? {
-                if CameraFile::read(&path).is_ok_and(|file| contents.contains_key(&file.content)) {
+                if taken.contains_key(&file::sha256(&path)?.1) {
                     inbox.known.insert(path);
                 }
             }
         }
-        Ok(Self { inbox, wait, last: None, taken: contents })
+        Ok(Self { inbox, wait, last: None, taken })
     }
 }
 
@@ -172,7 +165,7 @@ impl Camera for FolderCamera {
     /// from `exposure_s`, when it was taken before the one that came last, or when it is a copy of an earlier one.
     fn photograph(&mut self, exposure_s: f64, stem: &Path) -> Result<Shot> {
         let file = self.inbox.wait(self.wait, |new| Ok(new.into_iter().next()))?;
-        if let Some(earlier) = self.taken.get(&file.content) {
+        if let Some(earlier) = self.taken.get(&file.sha256) {
             return Err(Error::input(
                 &file.path,
                 format!("is the same photograph as {}", earlier.display()),
@@ -192,7 +185,7 @@ impl Camera for FolderCamera {
             ));
         }
         let target = self.inbox.take(&file, stem)?;
-        self.taken.insert(file.content, file.path.clone());
+        self.taken.insert(file.sha256.clone(), file.path.clone());
         self.last = Some(file);
         Ok(Shot::Taken(Taken { file: target, exposure_s }))
     }

@@ -3,13 +3,12 @@
 //! Photographs and exposures come in the same order; that they do is checked three times: by their number, by each
 //! photograph's exposure time, and by the camera's clock, which may be wrong but has to be wrong by the same amount always.
 
-use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::exif::{self, Exif};
 use crate::picture::Picture;
-use crate::{Error, Result};
+use crate::{Error, Result, file};
 
 /// How far the exposure time that a photograph tells may be from what was asked for, stops.
 const EXPOSURE_STOPS: f64 = 1.0 / 3.0;
@@ -34,8 +33,8 @@ pub struct CameraFile {
     pub path: PathBuf,
     /// What it says of itself.
     pub exif: Exif,
-    /// Equal files have equal ones.
-    pub content: u64,
+    /// SHA-256 of its bytes in hexadecimal digits.
+    pub sha256: String,
 }
 
 impl CameraFile {
@@ -45,9 +44,7 @@ impl CameraFile {
     /// Those of [`Picture::read`].
     pub fn read(path: &Path) -> Result<Self> {
         Picture::read(path)?;
-        let mut hasher = DefaultHasher::new();
-        std::fs::read(path).map_err(Error::io("read", path))?.hash(&mut hasher);
-        Ok(Self { path: path.into(), exif: exif::read(path)?, content: hasher.finish() })
+        Ok(Self { path: path.into(), exif: exif::read(path)?, sha256: file::sha256(path)?.1 })
     }
 
     /// The photograph's own exposure time, seconds.
@@ -98,7 +95,7 @@ pub fn matching(exposures: &[Exposure], files: &[CameraFile]) -> Result<()> {
 /// Takes exposures and their files one after the other and learns how wrong the camera's clock is.
 #[derive(Debug, Clone, Default)]
 pub struct Matcher {
-    accepted: Vec<(u64, PathBuf)>,
+    accepted: Vec<(String, PathBuf)>,
     first: Option<Tie>,
     last: Option<Tie>,
 }
@@ -128,7 +125,7 @@ impl Matcher {
     /// a stop from what was asked for, when it does not tell its time, or when the camera's clock was then wrong by another
     /// amount than before.
     pub fn accept(&mut self, exposure: &Exposure, file: &CameraFile) -> Result<f64> {
-        if let Some((_, earlier)) = self.accepted.iter().find(|(content, _)| *content == file.content) {
+        if let Some((_, earlier)) = self.accepted.iter().find(|(sha256, _)| *sha256 == file.sha256) {
             return Err(Error::input(
                 &file.path,
                 format!("is the same photograph as {}", earlier.display()),
@@ -161,7 +158,7 @@ impl Matcher {
         }
         self.first.get_or_insert(tie);
         self.last = Some(tie);
-        self.accepted.push((file.content, file.path.clone()));
+        self.accepted.push((file.sha256.clone(), file.path.clone()));
         Ok(exposure_s)
     }
 }

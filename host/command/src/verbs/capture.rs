@@ -19,7 +19,7 @@ pub fn capture(arguments: &Capture) -> Result<()> {
     let mut devices = Devices::open(
         &arguments.rig,
         &arguments.camera,
-        &arguments.session,
+        begun.as_ref(),
         arguments.tracker && !arguments.dry_run,
     )?;
     let (manifest, done) = match &begun {

@@ -25,12 +25,17 @@ fn session(rng: &mut StdRng, step_s: f64) -> (Vec<Exposure>, Vec<CameraFile>) {
                 taken: Some(CameraTime { clock_s, step_s }),
             };
             let path = format!("dsc{view:02}_{index}.jpg").into();
-            files.push(CameraFile { path, exif, content: rng.random() });
+            files.push(CameraFile { path, exif, sha256: content(rng) });
             at_s += exposure_s + 0.4;
         }
         at_s += rng.random_range(2.0..20.0);
     }
     (exposures, files)
+}
+
+/// A content that no other file has.
+fn content(rng: &mut StdRng) -> String {
+    rng.random::<u64>().to_string()
 }
 
 fn many(mut check: impl FnMut(&mut StdRng, Vec<Exposure>, Vec<CameraFile>)) {
@@ -54,8 +59,7 @@ fn a_missing_or_an_extra_file_is_refused_wherever_it_is() {
         missing.remove(rng.random_range(0..files.len()));
         assert!(matching(&exposures, &missing).unwrap_err().to_string().contains("files"));
         let mut extra = files.clone();
-        let stranger =
-            CameraFile { content: rng.random(), ..files[rng.random_range(0..files.len())].clone() };
+        let stranger = CameraFile { sha256: content(rng), ..files[rng.random_range(0..files.len())].clone() };
         extra.insert(rng.random_range(0..=files.len()), stranger);
         assert!(matching(&exposures, &extra).is_err());
         // One is missing and something else makes up the number.
@@ -63,7 +67,7 @@ fn a_missing_or_an_extra_file_is_refused_wherever_it_is() {
         for end in [0, files.len() - 1] {
             let mut both = files.clone();
             let mut stranger = both.remove(index);
-            stranger.content = rng.random();
+            stranger.sha256 = content(rng);
             if let Some(taken) = &mut stranger.exif.taken {
                 taken.clock_s += if end == 0 { -1e4 } else { 1e4 };
             }
