@@ -100,6 +100,32 @@ fn a_file_that_does_not_fit_is_refused_by_name() {
 }
 
 #[test]
+fn what_comes_after_the_start_and_is_older_than_its_view_is_refused_by_name() {
+    let write = |bench: &Bench, name: &str, age_s: u64| {
+        let path = bench.folder.path().join(name);
+        std::fs::write(&path, photograph(0.5, second(1), 1)).unwrap();
+        let file = std::fs::File::options().write(true).open(path).unwrap();
+        file.set_modified(SystemTime::now() - Duration::from_secs(age_s)).unwrap();
+    };
+    for (age_s, fits) in [(0, true), (1, true), (4, false), (100_000, false)] {
+        let mut bench = Bench::new();
+        write(&bench, "late.jpg", age_s);
+        match bench.take(0.5, "view0") {
+            Ok(_) => assert!(fits, "{age_s} s"),
+            Err(error) => {
+                let error = error.to_string();
+                assert!(!fits && error.contains("late.jpg") && error.contains("asked for"), "{error}");
+            }
+        }
+    }
+    // What is there at the start may be as old as it likes.
+    let mut bench = Bench::new();
+    write(&bench, "old.jpg", 100_000);
+    bench.camera = FolderCamera::open(bench.folder.path(), HashMap::new(), WAIT).unwrap();
+    bench.take(0.5, "view0").unwrap();
+}
+
+#[test]
 fn after_an_interruption_what_was_taken_is_not_taken_again() {
     let mut bench = Bench::new();
     bench.put("a.jpg", &photograph(0.5, second(1), 1));
