@@ -79,6 +79,46 @@ fn a_missing_or_an_extra_file_is_refused_wherever_it_is() {
 }
 
 #[test]
+fn an_extra_file_within_seconds_of_one_of_the_session_is_named() {
+    let mut alone = 0;
+    many(|rng, exposures, mut files| {
+        // The capture was killed when the contact had closed, and exposed again when it went on.
+        let index = rng.random_range(0..files.len());
+        let mut extra = files[index].clone();
+        (extra.path, extra.sha256) = ("extra.jpg".into(), content(rng));
+        if let Some(taken) = &mut extra.exif.taken {
+            taken.clock_s += [-1.0, 1.0][rng.random_range(0..2)] * rng.random_range(2.5..9.0);
+        }
+        files.push(extra);
+        files.sort_by(|one, other| {
+            let time = |file: &CameraFile| file.exif.taken.unwrap().clock_s;
+            time(one).total_cmp(&time(other))
+        });
+        let error = matching(&exposures, &files).unwrap_err().to_string();
+        assert!(error.contains("extra.jpg") && error.contains("collect again"), "{error}");
+        alone += usize::from(error.contains("fits no exposure") && !error.contains("dsc"));
+    });
+    // A few could as well be that of the next view, by a slow clock.
+    assert!(alone > 360, "{alone} of 400");
+}
+
+#[test]
+fn files_are_in_the_order_of_their_clock_whatever_their_names() {
+    let folder = tempfile::tempdir().unwrap();
+    let names = ["100CANON/DSC_9998.jpg", "100CANON/DSC_9999.jpg", "101CANON/DSC_0001.jpg", "DSC_0000.jpg"];
+    std::fs::create_dir(folder.path().join("100CANON")).unwrap();
+    std::fs::create_dir(folder.path().join("101CANON")).unwrap();
+    for (index, name) in names.iter().enumerate() {
+        let at = UNIX_EPOCH + Duration::from_secs(1_790_000_000 + index as u64);
+        let bytes = crate::camera::folder::tests::photograph(0.5, at, index as u8);
+        std::fs::write(folder.path().join(name), bytes).unwrap();
+    }
+    let found = photographs(folder.path()).unwrap();
+    let found: Vec<&Path> = found.iter().map(|f| f.path.strip_prefix(folder.path()).unwrap()).collect();
+    assert_eq!(found, names.map(Path::new));
+}
+
+#[test]
 fn swapped_files_are_refused() {
     many(|rng, exposures, files| {
         let (one, other) = (rng.random_range(0..files.len()), rng.random_range(0..files.len()));
