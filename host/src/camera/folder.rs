@@ -217,6 +217,10 @@ impl Camera for FolderCamera {
         Ok(Shot::Taken(Taken { file: target, exposure_s }))
     }
 
+    fn overhead_s(&self, _exposure_s: f64) -> f64 {
+        self.wait.as_secs_f64()
+    }
+
     fn file_size_bytes(&self) -> u64 {
         FILE_SIZE_BYTES
     }

@@ -2,9 +2,10 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::*;
 use crate::camera::exif;
-use crate::capture::capture;
+use crate::capture::{add_views, capture, plan};
 use crate::progress::Silent;
 use crate::rig::{Reached, Rig, RigLimits};
+use crate::sampling::Stop;
 use crate::session::{Manifest, Session, View};
 
 const WAIT: Duration = Duration::from_millis(350);
@@ -168,6 +169,21 @@ impl Rig for Still {
     fn take_notices(&mut self) -> Vec<String> {
         vec![]
     }
+}
+
+#[test]
+fn a_plan_counts_the_time_that_a_photograph_may_take_to_come() {
+    let mut manifest = Manifest { longest_exposure_s: Some(0.5), ..Manifest::new("test") };
+    add_views(&mut manifest, &[Stop { view: 0, pan_rad: 0.0, tilt_rad: 0.0 }; 3]);
+    let folder = tempfile::tempdir().unwrap();
+    let most = |wait_s: u64| {
+        let wait = Duration::from_secs(wait_s);
+        let camera = FolderCamera::open(folder.path(), HashMap::new(), wait).unwrap();
+        plan(&manifest, &[], &Still, &camera).unwrap()
+    };
+    let (quick, slow) = (most(0), most(120));
+    let more_s = slow.most_seconds - quick.most_seconds;
+    assert!((more_s - 120.0 * slow.most_photographs as f64).abs() < 1e-6, "{more_s} s");
 }
 
 /// What each view of a session got, in order.
