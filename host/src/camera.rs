@@ -67,6 +67,12 @@ pub trait Camera {
     /// photograph that was asked for, [`crate::Error::Io`] when the file cannot be written.
     fn photograph(&mut self, exposure_s: f64, stem: &Path) -> Result<Shot>;
 
+    /// How much longer than its exposure of `exposure_s` a photograph takes at most when all is well, seconds, for planning.
+    fn overhead_s(&self, exposure_s: f64) -> f64 {
+        let _ = exposure_s;
+        0.0
+    }
+
     /// Size of one file, bytes, for planning.
     fn file_size_bytes(&self) -> u64;
 }

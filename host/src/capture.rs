@@ -107,7 +107,9 @@ pub fn plan(manifest: &Manifest, done: &[usize], rig: &dyn Rig, camera: &dyn Cam
     Ok(Plan {
         views: views.len(),
         most_photographs,
-        most_seconds: travel_s + views.len() as f64 * times.iter().sum::<f64>(),
+        most_seconds: travel_s
+            + views.len() as f64
+                * times.iter().map(|&time_s| time_s + camera.overhead_s(time_s)).sum::<f64>(),
         most_bytes: most_photographs as u64 * camera.file_size_bytes(),
     })
 }

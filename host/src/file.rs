@@ -2,7 +2,10 @@
 //! A folder that is made as a whole is treated in the same way.
 
 use std::fs;
+use std::io::Read;
 use std::path::{Path, PathBuf};
+
+use sha2::{Digest, Sha256};
 
 use crate::{Error, Result};
 
@@ -51,6 +54,27 @@ pub(crate) fn sync_folder_of(path: &Path) -> std::io::Result<()> {
         Some(Err(error)) if error.kind() != std::io::ErrorKind::InvalidInput => Err(error),
         _ => Ok(()),
     }
+}
+
+/// How many bytes a file has, and their SHA-256 in hexadecimal digits.
+///
+/// # Errors
+/// [`Error::Io`] when it cannot be read.
+pub(crate) fn sha256(path: &Path) -> Result<(u64, String)> {
+    let mut file = fs::File::open(path).map_err(Error::io("read", path))?;
+    let (mut hasher, mut bytes, mut buffer) = (Sha256::new(), 0, vec![0; 1 << 16]);
+    loop {
+        match file.read(&mut buffer) {
+            Ok(0) => break,
+            Ok(count) => {
+                hasher.update(&buffer[..count]);
+                bytes += count as u64;
+            }
+            Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(Error::io("read", path)(error)),
+        }
+    }
+    Ok((bytes, hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()))
 }
 
 /// Moves a finished file to its place: it is on the disk, under its name, when this returns.

@@ -4,6 +4,7 @@
 //! `geometry` → `rig`, `camera`, `sampling` → `session` → `radiance`, `calibration` → `observation` → `fit`,
 //! `parameter_map` → `render` → `evaluate`, `chart`, `report`.
 
+mod calendar;
 pub mod calibration;
 pub mod camera;
 pub mod capture;

@@ -11,7 +11,7 @@ mod lock;
 mod manifest;
 mod time;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
@@ -226,6 +226,27 @@ impl Session {
         progress.step(photographs.len(), photographs.len())?;
         self.damaged.extend(damaged);
         Ok(sentences)
+    }
+
+    /// The photographs that a capture which goes on does not take again, their paths by the SHA-256 of their bytes: those of
+    /// the journal. A file that was moved to its place and not told to the journal is none of them.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when a photograph is there and cannot be read.
+    pub fn taken(&self) -> Result<HashMap<String, PathBuf>> {
+        let mut taken = HashMap::new();
+        for photograph in self.journal.photographs() {
+            // In a view that is not done, what does not have its hash is taken again.
+            if self.is_done(photograph.view) || self.is_intact(photograph)? {
+                let path = self.photograph_path(photograph);
+                let sha256 = match &photograph.content {
+                    Some(content) => content.sha256.clone(),
+                    None => Content::of(&path)?.sha256,
+                };
+                taken.insert(sha256, path);
+            }
+        }
+        Ok(taken)
     }
 
     /// Whether a photograph's file is as it was: every byte of it is read.

@@ -14,7 +14,7 @@ use rigel::picture::Picture;
 use rigel::progress::{Progress, Silent};
 use rigel::rig::{Rig, SerialPlace, SerialRig, Timing};
 use rigel::sampling::{icosphere, tour};
-use rigel::session::{Manifest, Session};
+use rigel::session::{Event, Journal, Manifest, Session};
 use rigel::{Error, Result};
 use rigel_simulated::camera::{Options, SimulatedCamera};
 use rigel_simulated::rig::{Faults, RigOptions, SimulatedRig};
@@ -151,7 +151,7 @@ fn a_photograph_that_is_missing_or_damaged_is_taken_again() {
         // The view is as it is when the capture ends before it is done.
         let journal = folder.join("journal.jsonl");
         let text = std::fs::read_to_string(&journal).unwrap();
-        let done = format!("{{\"view_done\":{{\"view\":{view}}}}}\n");
+        let done = Journal::line(&Event::ViewDone { view });
         assert!(text.contains(&done));
         std::fs::write(&journal, text.replace(&done, "")).unwrap();
         match damage {

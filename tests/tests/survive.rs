@@ -185,8 +185,17 @@ fn damage_at_any_byte_of_a_journal_is_an_error_with_its_line() {
         let mut damaged = journal.clone();
         damaged[at] = 0xff;
         restore(&folder, &files, &damaged);
-        let message = Session::open(&folder).unwrap_err().to_string();
-        assert!(message.contains(&format!("journal.jsonl: line {line} is damaged")), "byte {at}: {message}");
+        let mut hold = |damaged: &[u8]| {
+            restore(&folder, &files, damaged);
+            let message = Session::open(&folder).unwrap_err().to_string();
+            let named = format!("journal.jsonl: line {line} is damaged");
+            assert!(message.contains(&named), "byte {at}: {message}");
+        };
+        hold(&damaged);
+        for bit in 0..8 {
+            damaged[at] = journal[at] ^ (1 << bit);
+            hold(&damaged);
+        }
         line += usize::from(journal[at] == b'\n');
     }
 }

@@ -1,7 +1,7 @@
 //! The rig and the camera that the user named.
 
 use std::cell::Cell;
-use std::path::Path;
+use std::collections::HashMap;
 use std::rc::Rc;
 use std::time::Duration;
 
@@ -56,17 +56,17 @@ pub struct Known {
 }
 
 impl Devices {
-    /// Opens the rig, `simulated` or at a port, and a camera for a session in this folder. Nothing moves yet: the first move
-    /// homes the rig. In front of a real rig the simulated camera sees the surface where the rig reports to be.
+    /// Opens the rig, `simulated` or at a port, and a camera; of the session that goes on, what it has is not taken again.
+    /// Nothing moves yet: the first move homes the rig. In front of a real rig the simulated camera sees the surface where the rig reports to be.
     ///
     /// # Errors
     /// [`Error::Device`] when the rig or the camera does not answer, [`Error::Io`] when a camera's folder cannot be read.
-    pub fn open(rig: &str, camera: &CameraChoice, session: &Path, tracker: bool) -> Result<Self> {
+    pub fn open(rig: &str, camera: &CameraChoice, session: Option<&Session>, tracker: bool) -> Result<Self> {
         let opened = match camera {
             CameraChoice::Webcam(index) => Some(webcam(*index)?),
             CameraChoice::Folder(folder) => {
-                let taken = session.join("photographs");
-                Some(Box::new(FolderCamera::open(folder, &taken, BY_HAND)?) as Box<dyn Camera>)
+                let taken = session.map_or(Ok(HashMap::new()), Session::taken)?;
+                Some(Box::new(FolderCamera::open(folder, taken, BY_HAND)?) as Box<dyn Camera>)
             }
             _ => None,
         };

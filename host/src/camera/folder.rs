@@ -2,11 +2,11 @@
 
 use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use super::matching::CameraFile;
 use super::{Camera, Shot, Taken};
-use crate::file::write_bytes;
+use crate::file::{self, write_bytes};
 use crate::{Error, Result};
 
 /// The file types that are taken for photographs: those that [`crate::picture::Picture::read`] can read.
@@ -15,6 +15,8 @@ pub const EXTENSIONS: [&str; 6] = ["jpg", "jpeg", "png", "tif", "tiff", "exr"];
 const FILE_SIZE_BYTES: u64 = 20_000_000;
 /// How often the folder is looked into.
 const LOOK: Duration = Duration::from_millis(100);
+/// File systems tell when a file was written in steps of up to two seconds (FAT).
+const COARSE: Duration = Duration::from_secs(2);
 /// What cameras that people hold can be set to, seconds.
 const EXPOSURE_RANGE_S: [f64; 2] = [1.0 / 8000.0, 60.0];
 
@@ -124,35 +126,50 @@ impl Inbox {
 pub struct FolderCamera {
     inbox: Inbox,
     wait: Duration,
+    /// What was there at the start: taken in this order, whenever it was written.
+    present: BTreeSet<PathBuf>,
     last: Option<CameraFile>,
-    /// What was taken, by its content.
-    taken: HashMap<u64, PathBuf>,
+    /// What was taken, by the SHA-256 of its bytes.
+    taken: HashMap<String, PathBuf>,
 }
 
 impl FolderCamera {
     /// A folder whose photographs, those that are there and those that will come, are taken in the order of their names. Each
-    /// may take `wait` to come. Copies of what is in the folder `taken` were taken before an interruption: they are not taken
-    /// again.
+    /// may take `wait` to come. What was `taken` before an interruption, by the SHA-256 of its bytes in hexadecimal digits (see
+    /// [`crate::session::Session::taken`]), is not taken again.
     ///
     /// # Errors
-    /// [`Error::Io`] when a folder cannot be read.
-    pub fn open(folder: &Path, taken: &Path, wait: Duration) -> Result<Self> {
+    /// [`Error::Io`] when the folder or a file in it cannot be read.
+    pub fn open(folder: &Path, taken: HashMap<String, PathBuf>, wait: Duration) -> Result<Self> {
         let mut inbox = Inbox::new(folder)?;
-        let mut contents = HashMap::new();
-        for path in if taken.is_dir() { list(taken)?.0 } else { vec![] } {
-            // What is damaged there is taken again.
-            if let Ok(file) = CameraFile::read(&path) {
-                contents.insert(file.content, path);
-            }
-        }
-        if !contents.is_empty() {
+        let present = inbox.new_files()?.into_iter().collect();
+        if !taken.is_empty() {
             for path in inbox.new_files()? {
-                if CameraFile::read(&path).is_ok_and(|file| contents.contains_key(&file.content)) {
+                if taken.contains_key(&file::sha256(&path)?.1) {
                     inbox.known.insert(path);
                 }
             }
         }
-        Ok(Self { inbox, wait, last: None, taken: contents })
+        Ok(Self { inbox, wait, present, last: None, taken })
+    }
+}
+
+impl FolderCamera {
+    /// Nobody could take a photograph of this view before the rig was there.
+    fn check_written_since(&self, asked: SystemTime, path: &Path) -> Result<()> {
+        if self.present.contains(path) {
+            return Ok(());
+        }
+        let written =
+            std::fs::metadata(path).and_then(|data| data.modified()).map_err(Error::io("read", path))?;
+        match asked.duration_since(written) {
+            Ok(before) if before > COARSE => Err(Error::input(
+                path,
+                format!("was written {:.1} s before its photograph was asked for", before.as_secs_f64()),
+                "put each photograph there after the rig has arrived, or all of them before the capture starts",
+            )),
+            _ => Ok(()),
+        }
     }
 }
 
@@ -169,10 +186,13 @@ impl Camera for FolderCamera {
     ///
     /// # Errors
     /// Beside those of every camera, [`Error::Input`] naming the file when its exposure time is further than a third of a stop
-    /// from `exposure_s`, when it was taken before the one that came last, or when it is a copy of an earlier one.
+    /// from `exposure_s`, when it was taken before the one that came last, when it is a copy of an earlier one, or when it came
+    /// after the start and was written before this photograph was asked for: then the rig stood elsewhere.
     fn photograph(&mut self, exposure_s: f64, stem: &Path) -> Result<Shot> {
+        let asked = SystemTime::now();
         let file = self.inbox.wait(self.wait, |new| Ok(new.into_iter().next()))?;
-        if let Some(earlier) = self.taken.get(&file.content) {
+        self.check_written_since(asked, &file.path)?;
+        if let Some(earlier) = self.taken.get(&file.sha256) {
             return Err(Error::input(
                 &file.path,
                 format!("is the same photograph as {}", earlier.display()),
@@ -192,9 +212,13 @@ impl Camera for FolderCamera {
             ));
         }
         let target = self.inbox.take(&file, stem)?;
-        self.taken.insert(file.content, file.path.clone());
+        self.taken.insert(file.sha256.clone(), file.path.clone());
         self.last = Some(file);
         Ok(Shot::Taken(Taken { file: target, exposure_s }))
+    }
+
+    fn overhead_s(&self, _exposure_s: f64) -> f64 {
+        self.wait.as_secs_f64()
     }
 
     fn file_size_bytes(&self) -> u64 {

@@ -3,13 +3,12 @@
 //! Photographs and exposures come in the same order; that they do is checked three times: by their number, by each
 //! photograph's exposure time, and by the camera's clock, which may be wrong but has to be wrong by the same amount always.
 
-use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::exif::{self, Exif};
 use crate::picture::Picture;
-use crate::{Error, Result};
+use crate::{Error, Result, file};
 
 /// How far the exposure time that a photograph tells may be from what was asked for, stops.
 const EXPOSURE_STOPS: f64 = 1.0 / 3.0;
@@ -17,6 +16,9 @@ const EXPOSURE_STOPS: f64 = 1.0 / 3.0;
 const SHUTTER_JITTER_S: f64 = 0.5;
 /// How much faster or slower a camera's clock may run: nine seconds a day.
 const CLOCK_SKEW: f64 = 1e-4;
+
+/// So many files are looked at in search of those that are too many.
+const MOST_STEPS: usize = 20_000;
 
 /// Something the camera was made to do.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -34,8 +36,8 @@ pub struct CameraFile {
     pub path: PathBuf,
     /// What it says of itself.
     pub exif: Exif,
-    /// Equal files have equal ones.
-    pub content: u64,
+    /// SHA-256 of its bytes in hexadecimal digits.
+    pub sha256: String,
 }
 
 impl CameraFile {
@@ -45,9 +47,7 @@ impl CameraFile {
     /// Those of [`Picture::read`].
     pub fn read(path: &Path) -> Result<Self> {
         Picture::read(path)?;
-        let mut hasher = DefaultHasher::new();
-        std::fs::read(path).map_err(Error::io("read", path))?.hash(&mut hasher);
-        Ok(Self { path: path.into(), exif: exif::read(path)?, content: hasher.finish() })
+        Ok(Self { path: path.into(), exif: exif::read(path)?, sha256: file::sha256(path)?.1 })
     }
 
     /// The photograph's own exposure time, seconds.
@@ -71,20 +71,40 @@ impl CameraFile {
     }
 }
 
-/// The photographs of a folder, read whole, in the order of their names.
+/// The photographs of a folder and the folders in it, read whole, in the order in which they say that they were taken, then of
+/// their names: a camera's numbers begin again after 9999, and it begins new folders. Those that do not say come last.
 ///
 /// # Errors
-/// [`Error::Io`] when the folder cannot be read, [`Error::Input`] naming a photograph that is damaged.
+/// [`Error::Io`] when a folder cannot be read, [`Error::Input`] naming a photograph that is damaged.
 pub fn photographs(folder: &Path) -> Result<Vec<CameraFile>> {
-    super::folder::list(folder)?.0.iter().map(|path| CameraFile::read(path)).collect()
+    let (mut files, mut folders) = (vec![], vec![folder.to_path_buf()]);
+    while let Some(folder) = folders.pop() {
+        for path in super::folder::list(&folder)?.0 {
+            files.push(CameraFile::read(&path)?);
+        }
+        for entry in std::fs::read_dir(&folder).map_err(Error::io("read", &folder))? {
+            let entry = entry.map_err(Error::io("read", &folder))?;
+            // Not through links, which may lead round in a circle.
+            if entry.file_type().map_err(Error::io("read", entry.path()))?.is_dir() {
+                folders.push(entry.path());
+            }
+        }
+    }
+    let time = |file: &CameraFile| file.exif.taken.map_or(f64::INFINITY, |taken| taken.clock_s);
+    files.sort_by(|one, other| time(one).total_cmp(&time(other)).then_with(|| one.path.cmp(&other.path)));
+    Ok(files)
 }
 
 /// Checks that the first of `files` is the photograph of the first exposure, and so on to the end of both.
 ///
 /// # Errors
-/// [`Error::Request`] when there are more of one than of the other, [`Error::Input`] naming the first file that does not
-/// fit and what is wrong with it: see [`Matcher::accept`].
+/// [`Error::Input`] naming the files that are too many, where the others show which these are; [`Error::Request`] when there
+/// are more of one than of the other and nothing shows that; [`Error::Input`] naming the first file that does not fit and
+/// what is wrong with it: see [`Matcher::accept`].
 pub fn matching(exposures: &[Exposure], files: &[CameraFile]) -> Result<()> {
+    if files.len() > exposures.len() {
+        strangers(exposures, files)?;
+    }
     if exposures.len() != files.len() {
         return Err(Error::request(
             format!("{} photographs were taken, but there are {} files", exposures.len(), files.len()),
@@ -95,10 +115,76 @@ pub fn matching(exposures: &[Exposure], files: &[CameraFile]) -> Result<()> {
     exposures.iter().zip(files).try_for_each(|(exposure, file)| matcher.accept(exposure, file).map(|_| ()))
 }
 
+/// Names the files without which the others are the photographs of the exposures, such as one whose exposure was never
+/// written down because the capture was killed at that moment.
+fn strangers(exposures: &[Exposure], files: &[CameraFile]) -> Result<()> {
+    let mut search = Search { exposures, files, steps: 0, found: vec![] };
+    search.go_on(&Matcher::default(), 0, &mut vec![]);
+    let mut extra: Vec<usize> = search.found.concat();
+    extra.sort_unstable();
+    extra.dedup();
+    let Some(&first) = extra.first() else { return Ok(()) };
+    let more: Vec<String> = extra[1..].iter().map(|&index| files[index].path.display().to_string()).collect();
+    let more = if more.is_empty() { String::new() } else { format!(", nor do {}", more.join(", ")) };
+    Err(match search.found.len() {
+        1 => Error::input(
+            &files[first].path,
+            format!("fits no exposure of the session by its clock and exposure time{more}"),
+            "move it away and collect again",
+        ),
+        _ => Error::input(
+            &files[first].path,
+            format!("may be one too many: it does not fit together with all others{more}"),
+            "look which of them is not the session's, move it away and collect again",
+        ),
+    })
+}
+
+/// A search for the files that are too many.
+struct Search<'a> {
+    exposures: &'a [Exposure],
+    files: &'a [CameraFile],
+    /// Files that were looked at.
+    steps: usize,
+    /// Which files to leave out, by index, one way after the other: two are enough to know that it is not clear.
+    found: Vec<Vec<usize>>,
+}
+
+impl Search<'_> {
+    /// Places the files from `next` on, without those `left_out`.
+    fn go_on(&mut self, matcher: &Matcher, next: usize, left_out: &mut Vec<usize>) {
+        let (mut matcher, depth) = (matcher.clone(), left_out.len());
+        for index in next..=self.files.len() {
+            if index == self.files.len() {
+                if index - left_out.len() == self.exposures.len() {
+                    self.found.push(left_out.clone());
+                }
+                break;
+            }
+            self.steps += 1;
+            let exposure = self.exposures.get(index - left_out.len());
+            let mut placed = matcher.clone();
+            let fits = exposure.is_some_and(|exposure| placed.accept(exposure, &self.files[index]).is_ok());
+            let may_leave_out = left_out.len() < self.files.len() - self.exposures.len();
+            if fits && may_leave_out && self.found.len() < 2 && self.steps < MOST_STEPS {
+                left_out.push(index);
+                self.go_on(&matcher, index + 1, left_out);
+                left_out.pop();
+            }
+            match (fits, may_leave_out) {
+                (true, _) => matcher = placed,
+                (false, true) => left_out.push(index),
+                (false, false) => break,
+            }
+        }
+        left_out.truncate(depth);
+    }
+}
+
 /// Takes exposures and their files one after the other and learns how wrong the camera's clock is.
 #[derive(Debug, Clone, Default)]
 pub struct Matcher {
-    accepted: Vec<(u64, PathBuf)>,
+    accepted: Vec<(String, PathBuf)>,
     first: Option<Tie>,
     last: Option<Tie>,
 }
@@ -128,7 +214,7 @@ impl Matcher {
     /// a stop from what was asked for, when it does not tell its time, or when the camera's clock was then wrong by another
     /// amount than before.
     pub fn accept(&mut self, exposure: &Exposure, file: &CameraFile) -> Result<f64> {
-        if let Some((_, earlier)) = self.accepted.iter().find(|(content, _)| *content == file.content) {
+        if let Some((_, earlier)) = self.accepted.iter().find(|(sha256, _)| *sha256 == file.sha256) {
             return Err(Error::input(
                 &file.path,
                 format!("is the same photograph as {}", earlier.display()),
@@ -161,7 +247,7 @@ impl Matcher {
         }
         self.first.get_or_insert(tie);
         self.last = Some(tie);
-        self.accepted.push((file.content, file.path.clone()));
+        self.accepted.push((file.sha256.clone(), file.path.clone()));
         Ok(exposure_s)
     }
 }

@@ -7,6 +7,7 @@ use std::time::{Duration, SystemTime};
 use super::folder::Inbox;
 use super::matching::{Exposure, Matcher};
 use super::{Camera, Shot, Taken};
+use crate::rig::Contact;
 use crate::{Error, Result};
 
 /// A photograph of a camera with 24 megapixels at its best JPEG quality, bytes.
@@ -91,6 +92,12 @@ impl Camera for TriggerCamera {
         let exposure_s = self.matcher.accept(&Exposure { at, exposure_s }, &file)?;
         let file = inbox.take(&file, stem)?;
         Ok(Shot::Taken(Taken { file, exposure_s }))
+    }
+
+    /// The contact's half-press and pause, and the time in which the photograph must come into its folder.
+    fn overhead_s(&self, _exposure_s: f64) -> f64 {
+        let Contact { half_press_s, pause_s, .. } = Contact::default();
+        half_press_s + pause_s + self.inbox.as_ref().map_or(0.0, |_| self.wait.as_secs_f64())
     }
 
     fn file_size_bytes(&self) -> u64 {

@@ -26,6 +26,8 @@ const CLAMP_STOPS: f64 = 1.0 / 3.0;
 /// Frames that are thrown away before each photograph: nokhwa keeps a queue of four, and a camera takes a few more until it
 /// follows a new exposure time. They may also show how the rig came here.
 const STALE_FRAMES: usize = 8;
+/// A frame takes as long as its exposure and, at the ten frames per second of a slow webcam, at least so long, seconds.
+const FRAME_S: f64 = 0.1;
 /// Frames older than the order may come after those; a camera that sends nothing else is not to be trusted.
 const MOST_FRAMES: usize = 60;
 /// A camera that sends no frame for so long, and four exposure times, is gone.
@@ -137,6 +139,11 @@ impl Camera for Webcam {
         write_bytes(&file, &png(&frame, &rgb, exposure_s, ordered)?)?;
         self.last = Some(frame);
         Ok(Shot::Taken(Taken { file, exposure_s }))
+    }
+
+    /// The frames that are thrown away, and the one that had begun.
+    fn overhead_s(&self, exposure_s: f64) -> f64 {
+        (STALE_FRAMES + 1) as f64 * exposure_s.max(FRAME_S)
     }
 
     fn file_size_bytes(&self) -> u64 {

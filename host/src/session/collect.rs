@@ -34,7 +34,7 @@ pub fn collect(session: &mut Session, folder: &Path, progress: &dyn Progress) ->
     let mut files = vec![];
     for file in photographs(folder)? {
         progress.step(0, waiting.len())?;
-        if !known.contains(&Content::of(&file.path)?.sha256) {
+        if !known.contains(&file.sha256) {
             files.push(file);
         }
     }

@@ -6,8 +6,15 @@ use std::fs::{File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use crc::{CRC_32_ISO_HDLC, Crc};
+
 use super::event::{Event, Exposed, Photograph};
 use crate::{Error, Result, file};
+
+/// What a line ends with after its event: `,"crc":"` and eight hexadecimal digits and `"}`.
+const CHECK: (&str, &str) = (",\"crc\":\"", "\"}");
+/// CRC-32 as of Ethernet.
+const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
 /// The journal, open for appending.
 #[derive(Debug)]
@@ -43,10 +50,10 @@ impl Journal {
             .split_inclusive(|&byte| byte == b'\n')
             .enumerate()
             .map(|(index, line)| {
-                serde_json::from_slice(line).map_err(|error| {
+                read_line(line).map_err(|why| {
                     Error::input(
                         path,
-                        format!("line {} is damaged ({error})", index + 1),
+                        format!("line {} is damaged ({why})", index + 1),
                         "restore the file from a copy, or remove that line and the `view_done` line of its view: `rigel capture --resume` then takes the photograph again",
                     )
                 })
@@ -55,13 +62,19 @@ impl Journal {
         Ok((events, whole))
     }
 
+    /// An event as it is written: its JSON object, with the CRC-32 of that in hexadecimal digits as the last field `crc`.
+    pub fn line(event: &Event) -> String {
+        let event = serde_json::to_string(event).expect("events are plain data");
+        let open = event.strip_suffix('}').expect("an event is an object");
+        format!("{open}{}{:08x}{}\n", CHECK.0, CRC.checksum(event.as_bytes()), CHECK.1)
+    }
+
     /// Appends an event and waits until it is on the disk. After a failure the next one takes the place of what was torn.
     ///
     /// # Errors
     /// [`Error::Io`] when it cannot be written.
     pub fn append(&mut self, event: Event) -> Result<()> {
-        let mut line = serde_json::to_string(&event).expect("events are plain data");
-        line.push('\n');
+        let line = Self::line(&event);
         if let Err(source) = self.append_line(&line) {
             // Opened anew, the journal loses what was torn.
             self.file = None;
@@ -138,6 +151,23 @@ impl Journal {
     }
 }
 
+/// The event of a line, or what is wrong with it. What was written before lines had a checksum has none.
+fn read_line(line: &[u8]) -> std::result::Result<Event, String> {
+    let line = line.strip_suffix(b"\n").unwrap_or(line);
+    let checked = line.strip_suffix(CHECK.1.as_bytes()).and_then(|line| {
+        let (rest, told) = line.split_at_checked(line.len().checked_sub(8)?)?;
+        Some((rest.strip_suffix(CHECK.0.as_bytes())?, told))
+    });
+    let parse = |event: &[u8]| serde_json::from_slice(event).map_err(|error| error.to_string());
+    let Some((open, told)) = checked else { return parse(line) };
+    let event = [open, b"}"].concat();
+    let found = format!("{:08x}", CRC.checksum(&event));
+    if found.as_bytes() != told {
+        return Err(format!("its checksum is {found} and was {}", String::from_utf8_lossy(told)));
+    }
+    parse(&event)
+}
+
 /// A file's name without its extension; in the journal the separator is `/` on every system.
 pub(super) fn stem(file: &str) -> &str {
     match file.rfind('.') {
@@ -146,10 +176,52 @@ pub(super) fn stem(file: &str) -> &str {
     }
 }
 
-#[cfg(all(test, target_os = "linux"))]
+#[cfg(test)]
 mod tests {
     use super::*;
 
+    #[test]
+    fn every_flipped_bit_is_an_error_with_its_line_or_a_torn_tail() {
+        let path = Path::new("journal.jsonl");
+        let photograph = Photograph {
+            view: 12,
+            file: "photographs/JJ*.png".into(),
+            exposure_s: Some(0.011),
+            ..Photograph::default()
+        };
+        let notice = Event::Notice { at: std::time::UNIX_EPOCH, text: "J \"quoted\", * and {}".into() };
+        let events = [Event::Photograph(photograph), notice, Event::ViewDone { view: 12 }];
+        let journal: String = events.iter().map(Journal::line).collect();
+        assert_eq!(Journal::parse(journal.as_bytes(), path).unwrap(), (events.to_vec(), journal.len()));
+        let mut line = 1;
+        for at in 0..journal.len() {
+            for bit in 0..8 {
+                let mut damaged = journal.clone().into_bytes();
+                damaged[at] ^= 1 << bit;
+                match Journal::parse(&damaged, path) {
+                    Ok((read, _)) => {
+                        assert_eq!(at, journal.len() - 1, "bit {bit} of byte {at}");
+                        assert_eq!(read, events[..2]);
+                    }
+                    Err(error) => {
+                        let named = format!("line {line} is damaged");
+                        assert!(error.to_string().contains(&named), "bit {bit} of byte {at}: {error}");
+                    }
+                }
+            }
+            line += usize::from(journal.as_bytes()[at] == b'\n');
+        }
+    }
+
+    #[test]
+    fn a_line_from_before_there_were_checksums_is_read() {
+        let old = "{\"view_done\":{\"view\":3}}\n";
+        let (events, _) = Journal::parse(old.as_bytes(), Path::new("journal.jsonl")).unwrap();
+        assert_eq!(events, [Event::ViewDone { view: 3 }]);
+        assert_eq!(Journal::line(&events[0]), "{\"view_done\":{\"view\":3},\"crc\":\"ebf050d7\"}\n");
+    }
+
+    #[cfg(target_os = "linux")]
     #[test]
     fn a_line_that_a_failed_write_tore_is_cut_by_the_next_one() {
         let folder = tempfile::tempdir().unwrap();

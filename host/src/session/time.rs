@@ -4,10 +4,9 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Deserializer, Serializer};
 
+use crate::calendar::{civil, days};
+
 const DAY_S: u64 = 86_400;
-/// Days from 0000-03-01 to 1970-01-01, and in 400 years.
-const EPOCH_DAYS: u64 = 719_468;
-const ERA_DAYS: u64 = 146_097;
 
 /// Now, as exactly as it is written.
 pub(super) fn now() -> SystemTime {
@@ -20,18 +19,12 @@ pub(super) fn whole_microseconds(at: SystemTime) -> SystemTime {
     UNIX_EPOCH + Duration::new(since.as_secs(), since.subsec_micros() * 1000)
 }
 
-/// Year, month and day by Hinnant's "chrono-compatible low-level date algorithms" (2013), with years that begin in March.
 fn format(at: SystemTime) -> String {
     let since = at.duration_since(UNIX_EPOCH).unwrap_or_default();
-    let (days, second) = (since.as_secs() / DAY_S + EPOCH_DAYS, since.as_secs() % DAY_S);
-    let (era, day) = (days / ERA_DAYS, days % ERA_DAYS);
-    let year = (day - day / 1460 + day / 36_524 - day / 146_096) / 365;
-    let day = day - (365 * year + year / 4 - year / 100);
-    let month = (5 * day + 2) / 153;
-    let day = day - (153 * month + 2) / 5 + 1;
-    let (month, year) = if month < 10 { (month + 3, year) } else { (month - 9, year + 1) };
+    let (year, month, day) = civil((since.as_secs() / DAY_S) as i64);
+    let second = since.as_secs() % DAY_S;
     let (hour, minute, second) = (second / 3600, second / 60 % 60, second % 60);
-    let (year, micros) = (era * 400 + year, since.subsec_micros());
+    let micros = since.subsec_micros();
     format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}.{micros:06}Z")
 }
 
@@ -47,10 +40,7 @@ fn parse(text: &str) -> Option<SystemTime> {
     if year < 1970 || !(1..=12).contains(&month) || !(1..=31).contains(&day) {
         return None;
     }
-    let (month, year) = if month > 2 { (month - 3, year) } else { (month + 9, year - 1) };
-    let (era, year) = (year / 400, year % 400);
-    let day = year * 365 + year / 4 - year / 100 + (153 * month + 2) / 5 + day - 1;
-    let days = era * ERA_DAYS + day - EPOCH_DAYS;
+    let days = days(year as i64, month as i64, day as i64) as u64;
     let seconds = days * DAY_S + hour * 3600 + minute * 60 + second;
     let at = UNIX_EPOCH + Duration::new(seconds, micros as u32 * 1000);
     // Whatever was not as it is written (30 February, 25 o'clock, a missing Z) is written otherwise.

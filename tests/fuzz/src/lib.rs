@@ -94,8 +94,7 @@ pub fn journal(bytes: &[u8]) {
         let (fewer, whole) = Journal::parse(&bytes[..cut], path).expect("a cut leaves whole lines");
         assert!(whole <= cut && fewer == events[..fewer.len()]);
     }
-    let line = |event| serde_json::to_string(event).expect("events are plain data") + "\n";
-    let written: String = events.iter().map(line).collect();
+    let written: String = events.iter().map(Journal::line).collect();
     let (again, whole) = Journal::parse(written.as_bytes(), path).expect("what was written is read");
     assert!(whole == written.len() && again == events);
 }

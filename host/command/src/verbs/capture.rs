@@ -19,7 +19,7 @@ pub fn capture(arguments: &Capture) -> Result<()> {
     let mut devices = Devices::open(
         &arguments.rig,
         &arguments.camera,
-        &arguments.session,
+        begun.as_ref(),
         arguments.tracker && !arguments.dry_run,
     )?;
     let (manifest, done) = match &begun {
@@ -33,7 +33,8 @@ pub fn capture(arguments: &Capture) -> Result<()> {
     let mut plan = plan(&manifest, &done, devices.rig.as_ref(), devices.camera.as_ref())?;
     if let Some(moving_s) = moving_s {
         let times = capture::bracket(&manifest, devices.camera.as_ref())?;
-        plan.most_seconds = moving_s + plan.views as f64 * times.iter().sum::<f64>();
+        let photographing_s = times.iter().map(|&time_s| time_s + devices.camera.overhead_s(time_s));
+        plan.most_seconds = moving_s + plan.views as f64 * photographing_s.sum::<f64>();
         say(&plan);
         return Ok(());
     }

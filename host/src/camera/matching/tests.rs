@@ -25,12 +25,17 @@ fn session(rng: &mut StdRng, step_s: f64) -> (Vec<Exposure>, Vec<CameraFile>) {
                 taken: Some(CameraTime { clock_s, step_s }),
             };
             let path = format!("dsc{view:02}_{index}.jpg").into();
-            files.push(CameraFile { path, exif, content: rng.random() });
+            files.push(CameraFile { path, exif, sha256: content(rng) });
             at_s += exposure_s + 0.4;
         }
         at_s += rng.random_range(2.0..20.0);
     }
     (exposures, files)
+}
+
+/// A content that no other file has.
+fn content(rng: &mut StdRng) -> String {
+    rng.random::<u64>().to_string()
 }
 
 fn many(mut check: impl FnMut(&mut StdRng, Vec<Exposure>, Vec<CameraFile>)) {
@@ -54,8 +59,7 @@ fn a_missing_or_an_extra_file_is_refused_wherever_it_is() {
         missing.remove(rng.random_range(0..files.len()));
         assert!(matching(&exposures, &missing).unwrap_err().to_string().contains("files"));
         let mut extra = files.clone();
-        let stranger =
-            CameraFile { content: rng.random(), ..files[rng.random_range(0..files.len())].clone() };
+        let stranger = CameraFile { sha256: content(rng), ..files[rng.random_range(0..files.len())].clone() };
         extra.insert(rng.random_range(0..=files.len()), stranger);
         assert!(matching(&exposures, &extra).is_err());
         // One is missing and something else makes up the number.
@@ -63,7 +67,7 @@ fn a_missing_or_an_extra_file_is_refused_wherever_it_is() {
         for end in [0, files.len() - 1] {
             let mut both = files.clone();
             let mut stranger = both.remove(index);
-            stranger.content = rng.random();
+            stranger.sha256 = content(rng);
             if let Some(taken) = &mut stranger.exif.taken {
                 taken.clock_s += if end == 0 { -1e4 } else { 1e4 };
             }
@@ -72,6 +76,46 @@ fn a_missing_or_an_extra_file_is_refused_wherever_it_is() {
             assert!(error.contains("dsc") && error.contains(" s "), "{error}");
         }
     });
+}
+
+#[test]
+fn an_extra_file_within_seconds_of_one_of_the_session_is_named() {
+    let mut alone = 0;
+    many(|rng, exposures, mut files| {
+        // The capture was killed when the contact had closed, and exposed again when it went on.
+        let index = rng.random_range(0..files.len());
+        let mut extra = files[index].clone();
+        (extra.path, extra.sha256) = ("extra.jpg".into(), content(rng));
+        if let Some(taken) = &mut extra.exif.taken {
+            taken.clock_s += [-1.0, 1.0][rng.random_range(0..2)] * rng.random_range(2.5..9.0);
+        }
+        files.push(extra);
+        files.sort_by(|one, other| {
+            let time = |file: &CameraFile| file.exif.taken.unwrap().clock_s;
+            time(one).total_cmp(&time(other))
+        });
+        let error = matching(&exposures, &files).unwrap_err().to_string();
+        assert!(error.contains("extra.jpg") && error.contains("collect again"), "{error}");
+        alone += usize::from(error.contains("fits no exposure") && !error.contains("dsc"));
+    });
+    // A few could as well be that of the next view, by a slow clock.
+    assert!(alone > 360, "{alone} of 400");
+}
+
+#[test]
+fn files_are_in_the_order_of_their_clock_whatever_their_names() {
+    let folder = tempfile::tempdir().unwrap();
+    let names = ["100CANON/DSC_9998.jpg", "100CANON/DSC_9999.jpg", "101CANON/DSC_0001.jpg", "DSC_0000.jpg"];
+    std::fs::create_dir(folder.path().join("100CANON")).unwrap();
+    std::fs::create_dir(folder.path().join("101CANON")).unwrap();
+    for (index, name) in names.iter().enumerate() {
+        let at = UNIX_EPOCH + Duration::from_secs(1_790_000_000 + index as u64);
+        let bytes = crate::camera::folder::tests::photograph(0.5, at, index as u8);
+        std::fs::write(folder.path().join(name), bytes).unwrap();
+    }
+    let found = photographs(folder.path()).unwrap();
+    let found: Vec<&Path> = found.iter().map(|f| f.path.strip_prefix(folder.path()).unwrap()).collect();
+    assert_eq!(found, names.map(Path::new));
 }
 
 #[test]
