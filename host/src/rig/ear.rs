@@ -120,6 +120,8 @@ impl Ear {
     /// From now on the reply to this is awaited.
     pub fn expect(&self, sequence: u16, command: &Command) {
         let mut heard = self.lock();
+        // Numbers come again: what was said of an older request of this number is no news of this one.
+        heard.events.retain(|event| event.sequence != sequence);
         heard.asked = Some((sequence, command.clone()));
         heard.reply = None;
     }
@@ -252,5 +254,35 @@ fn answers(command: &Command, reply: &Reply) -> bool {
             !matches!(command, Command::Hello { .. } | Command::Status | Command::Ping | Command::Tracker)
         }
         _ => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rigel_protocol::{LARGEST_FRAME, encode};
+
+    use super::*;
+
+    fn say(ear: &Ear, sequence: u16, reply: Reply) {
+        let mut buffer = [0; LARGEST_FRAME];
+        let answer = Answer { sequence, reply };
+        ear.take(&mut Decoder::new(), encode(&answer, &mut buffer).unwrap(), Instant::now());
+    }
+
+    #[test]
+    fn an_event_of_an_older_request_of_the_same_number_is_no_news() {
+        let ear = Ear::new(Arc::default());
+        let arrived = |pan_mdeg| Reply::Arrived { pan_mdeg, tilt_mdeg: 0 };
+        let heard = |sequence| match ear.event(sequence, Duration::ZERO) {
+            Some(Reply::Arrived { pan_mdeg, .. }) => Some(pan_mdeg),
+            _ => None,
+        };
+        say(&ear, 7, arrived(1));
+        say(&ear, 8, arrived(2));
+        ear.expect(7, &Command::Home);
+        assert_eq!(heard(7), None);
+        assert_eq!(heard(8), Some(2), "another request's event stays");
+        say(&ear, 7, arrived(3));
+        assert_eq!(heard(7), Some(3));
     }
 }
