@@ -14,6 +14,9 @@ mod tracker;
 
 pub use tracker::{Line as TrackerLine, TRACKER_FILE, TrackerLog};
 
+/// How often a view is photographed by a rig that does not stand still meanwhile.
+const ATTEMPTS: usize = 3;
+
 /// What a capture will take.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Plan {
@@ -145,19 +148,54 @@ pub fn capture(
         if session.is_done(view) {
             continue;
         }
-        let [pan_rad, tilt_rad] = target(&session.manifest, view)?;
+        capture_view(session, view, rig, camera, &times, &|| progress.step(view, total))?;
+        session.record(Event::ViewDone { view })?;
+    }
+    progress.step(total, total)
+}
+
+/// Goes to a view and takes its photographs, all of them again when the rig does not stand there any more afterwards.
+fn capture_view(
+    session: &mut Session,
+    view: usize,
+    rig: &mut dyn Rig,
+    camera: &mut dyn Camera,
+    times: &[f64],
+    interrupted: &dyn Fn() -> Result<()>,
+) -> Result<()> {
+    let [pan_rad, tilt_rad] = target(&session.manifest, view)?;
+    for _ in 0..ATTEMPTS {
         let reached = rig.move_to(pan_rad, tilt_rad);
-        rig.take_notices().into_iter().try_for_each(|text| session.notice(text))?;
+        note(session, rig)?;
         let reached = reached?;
         let place = Place {
             commanded_deg: [pan_rad.to_degrees(), tilt_rad.to_degrees()],
             reported_deg: [reached.pan_rad.to_degrees(), reached.tilt_rad.to_degrees()],
             settle_s: reached.settle_s,
         };
-        photograph_view(session, view, place, camera, &times, &|| progress.step(view, total))?;
-        session.record(Event::ViewDone { view })?;
+        let there = photograph_view(session, view, place, camera, times, interrupted)
+            .and_then(|()| rig.is_there(pan_rad, tilt_rad));
+        // Also what was told before a failure.
+        note(session, rig)?;
+        if there? {
+            return Ok(());
+        }
+        // Whoever goes on with the session after a failure must know it, too.
+        session.record(Event::ViewMoved { view })?;
     }
-    progress.step(total, total)
+    Err(Error::Device {
+        device: rig.describe(),
+        what: format!(
+            "it did not stand still in {ATTEMPTS} attempts to photograph {}",
+            session.manifest.views[view].name
+        ),
+        remedy: "check its power supply and its cable, then start again".into(),
+    })
+}
+
+/// Tells the journal what the rig has told.
+fn note(session: &mut Session, rig: &mut dyn Rig) -> Result<()> {
+    rig.take_notices().into_iter().try_for_each(|text| session.notice(text))
 }
 
 /// The recursion "halve the time until no pixel is saturated" (thesis, chapter 7).
@@ -276,3 +314,6 @@ fn is_saturated(picture: &Picture) -> bool {
     let top = picture.white - picture.white / 50;
     picture.levels.iter().flatten().any(|&level| level >= top)
 }
+
+#[cfg(test)]
+mod tests;

@@ -48,6 +48,13 @@ pub trait Rig {
     /// or is unplugged is an error that names it.
     fn move_to(&mut self, pan_rad: f64, tilt_rad: f64) -> Result<Reached>;
 
+    /// Whether it stands where it was sent to, and has stood there all the time: a rig that has restarted or stopped since
+    /// is not there. Nothing moves; the next move goes there again.
+    ///
+    /// # Errors
+    /// A rig that does not answer is an error that names it.
+    fn is_there(&mut self, pan_rad: f64, tilt_rad: f64) -> Result<bool>;
+
     /// Which rig this is, in a line for people.
     fn describe(&self) -> String;
 

@@ -311,7 +311,9 @@ fn read_journal(folder: &Path, manifest: &Manifest) -> Result<Journal> {
         let (what, view) = match event {
             Event::Photograph(photograph) => (photograph.file.as_str(), photograph.view),
             Event::Exposed(exposed) => (exposed.stem.as_str(), exposed.view),
-            Event::Run(_) | Event::ViewDone { .. } | Event::Notice { .. } => continue,
+            Event::Run(_) | Event::ViewDone { .. } | Event::ViewMoved { .. } | Event::Notice { .. } => {
+                continue;
+            }
         };
         if view >= manifest.views.len() {
             return Err(Error::input(

@@ -38,6 +38,10 @@ impl Rig for Bench<'_> {
         Ok(Reached { pan_rad, tilt_rad, settle_s: 0.25 })
     }
 
+    fn is_there(&mut self, pan_rad: f64, tilt_rad: f64) -> Result<bool> {
+        Ok(self.0.get() == (pan_rad, tilt_rad))
+    }
+
     fn describe(&self) -> String {
         "a bench".into()
     }
@@ -244,7 +248,7 @@ fn a_photograph_tells_how_it_was_taken() {
         Event::Notice { at, text } => text == "the cable was out" && *at >= run.at,
         _ => false,
     });
-    assert_eq!(notices.count(), 3, "one for each move");
+    assert_eq!(notices.count(), 6, "one for each move and one for each bracket");
     let mut before = run.at;
     for view in 0..3 {
         for (index, photograph) in session.photographs(view).iter().enumerate() {

@@ -195,6 +195,10 @@ impl Rig for Reporting {
         Ok(reached)
     }
 
+    fn is_there(&mut self, pan_rad: f64, tilt_rad: f64) -> Result<bool> {
+        self.rig.is_there(pan_rad, tilt_rad)
+    }
+
     fn describe(&self) -> String {
         self.rig.describe()
     }

@@ -360,6 +360,28 @@ impl Rig for SerialRig {
         Err(self.restarts())
     }
 
+    fn is_there(&mut self, pan_rad: f64, tilt_rad: f64) -> Result<bool> {
+        let Some(status) = self.ask_status()? else {
+            self.greet_again()?;
+            return Ok(false);
+        };
+        let at = [status.pan_mdeg, status.tilt_mdeg];
+        let goal = [mdeg(pan_rad), mdeg(tilt_rad)];
+        let is_near = goal[0].zip(goal[1]).is_some_and(|(pan, tilt)| is_there([pan, tilt], at));
+        // Another thread's hello can have been heard by a rig that had restarted: then it is lost.
+        if self.homed && status.state == State::Still && is_near {
+            return Ok(true);
+        }
+        self.homed = false;
+        self.link.notices().tell(format!(
+            "{}: the rig is {:?} at {} although nobody moved it: it is homed before it moves again",
+            self.link.name(),
+            status.state,
+            place(at)
+        ));
+        Ok(false)
+    }
+
     fn describe(&self) -> String {
         let limits = self.limits();
         let [[pan_min, pan_max], [tilt_min, tilt_max]] =

@@ -35,6 +35,8 @@ struct Heard {
     bytes: u64,
     frames: u64,
     records: Option<Sender<(Record, Option<Moment>)>>,
+    /// The request that started the tracker, to which its records belong.
+    track: Option<u16>,
     clock: Clock,
 }
 
@@ -114,12 +116,18 @@ impl Ear {
     pub fn forget(&self) {
         let mut heard = self.lock();
         heard.events.clear();
+        heard.track = None;
         heard.clock = Clock::new();
     }
 
     /// From now on the reply to this is awaited.
     pub fn expect(&self, sequence: u16, command: &Command) {
         let mut heard = self.lock();
+        // Numbers come again: what was said of an older request of this number is no news of this one.
+        heard.events.retain(|event| event.sequence != sequence);
+        if matches!(command, Command::Track(_)) {
+            heard.track = Some(sequence);
+        }
         heard.asked = Some((sequence, command.clone()));
         heard.reply = None;
     }
@@ -221,7 +229,8 @@ impl Heard {
                 self.events.push_back(answer);
             }
             Reply::Record(record) => {
-                if let Some(records) = &self.records {
+                // What an earlier start of the tracker still says has other counts, and perhaps another meaning.
+                if let (Some(records), true) = (&self.records, self.track == Some(answer.sequence)) {
                     // Where nobody receives any more there is nobody to miss it.
                     let _ = records.send((record, self.clock.at(record.at_us)));
                 }
@@ -252,5 +261,60 @@ fn answers(command: &Command, reply: &Reply) -> bool {
             !matches!(command, Command::Hello { .. } | Command::Status | Command::Ping | Command::Tracker)
         }
         _ => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rigel_protocol::{Format, LARGEST_FRAME, Orientation, Output, Tracking, encode};
+
+    use super::*;
+
+    fn say(ear: &Ear, sequence: u16, reply: Reply) {
+        let mut buffer = [0; LARGEST_FRAME];
+        let answer = Answer { sequence, reply };
+        ear.take(&mut Decoder::new(), encode(&answer, &mut buffer).unwrap(), Instant::now());
+    }
+
+    #[test]
+    fn an_event_of_an_older_request_of_the_same_number_is_no_news() {
+        let ear = Ear::new(Arc::default());
+        let arrived = |pan_mdeg| Reply::Arrived { pan_mdeg, tilt_mdeg: 0 };
+        let heard = |sequence| match ear.event(sequence, Duration::ZERO) {
+            Some(Reply::Arrived { pan_mdeg, .. }) => Some(pan_mdeg),
+            _ => None,
+        };
+        say(&ear, 7, arrived(1));
+        say(&ear, 8, arrived(2));
+        ear.expect(7, &Command::Home);
+        assert_eq!(heard(7), None);
+        assert_eq!(heard(8), Some(2), "another request's event stays");
+        say(&ear, 7, arrived(3));
+        assert_eq!(heard(7), Some(3));
+    }
+
+    #[test]
+    fn only_records_of_the_last_start_of_the_tracker_are_passed_on() {
+        let ear = Ear::new(Arc::default());
+        let (sender, receiver) = std::sync::mpsc::channel();
+        ear.send_records(sender);
+        let record = |count| {
+            let orientation = Orientation::Quaternion([1_000_000, 0, 0, 0]);
+            Reply::Record(Record { at_us: 0, count, station: 1, status: 0, position_um: [0; 3], orientation })
+        };
+        let track = |sequence| {
+            let tracking = Tracking { stations: 1, format: Format::Binary, output: Output::Quaternion };
+            ear.expect(sequence, &Command::Track(tracking));
+        };
+        say(&ear, 3, record(1));
+        track(4);
+        say(&ear, 4, record(2));
+        track(9);
+        say(&ear, 4, record(3));
+        say(&ear, 9, record(4));
+        ear.forget();
+        say(&ear, 9, record(5));
+        let counts: Vec<u32> = receiver.try_iter().map(|(record, _)| record.count).collect();
+        assert_eq!(counts, [2, 4]);
     }
 }

@@ -116,13 +116,7 @@ impl TriggerLine {
         loop {
             match self.link.ear().event(sequence, self.link.timing().silence()) {
                 Some(Reply::Exposed { index, at_us, confirmed }) => {
-                    let moment = self.link.ear().moment(at_us);
-                    // What was heard is no story of the future, however badly the clock is known.
-                    let at = moment
-                        .map(|moment: Moment| self.link.ear().system_time(moment).min(SystemTime::now()));
-                    if let (Some(slot), Some(at)) = (heard.get_mut(usize::from(index)), at) {
-                        *slot = Some(Exposed { at, confirmed });
-                    }
+                    self.note(heard, index, at_us, confirmed);
                     continue;
                 }
                 Some(Reply::Triggered { exposed, confirmed }) => return Ok((exposed, confirmed)),
@@ -143,10 +137,27 @@ impl TriggerLine {
                         "look at the rig, then start again",
                     ));
                 }
-                Reply::Status(Status { exposed, confirmed, .. }) => return Ok((exposed, confirmed)),
+                Reply::Status(Status { exposed, confirmed, .. }) => {
+                    // The bracket may have ended between the last look and this answer: what was said before it is here.
+                    while let Some(event) = self.link.ear().event(sequence, Duration::ZERO) {
+                        if let Reply::Exposed { index, at_us, confirmed } = event {
+                            self.note(heard, index, at_us, confirmed);
+                        }
+                    }
+                    return Ok((exposed, confirmed));
+                }
                 Reply::Refused(Fault::NoHello) => return Err(self.restarted()),
                 reply => return Err(self.link.confused(&reply)),
             }
+        }
+    }
+
+    fn note(&self, heard: &mut [Option<Exposed>], index: u8, at_us: u64, confirmed: bool) {
+        let moment = self.link.ear().moment(at_us);
+        // What was heard is no story of the future, however badly the clock is known.
+        let at = moment.map(|moment: Moment| self.link.ear().system_time(moment).min(SystemTime::now()));
+        if let (Some(slot), Some(at)) = (heard.get_mut(usize::from(index)), at) {
+            *slot = Some(Exposed { at, confirmed });
         }
     }
 

@@ -22,6 +22,11 @@ pub enum Event {
         /// Index of the view in the manifest.
         view: usize,
     },
+    /// The rig did not stand still while a view was photographed: its photographs until here count no longer.
+    ViewMoved {
+        /// Index of the view in the manifest.
+        view: usize,
+    },
     /// Something happened to a device that whoever doubts a photograph should know: it was started or connected again.
     Notice {
         /// When.

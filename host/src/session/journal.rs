@@ -107,9 +107,12 @@ impl Journal {
     /// All photographs, in order. Of a file that was taken again the last record counts, in place of the first.
     pub fn photographs(&self) -> impl Iterator<Item = &Photograph> {
         let mut photographs: Vec<&Photograph> = vec![];
-        let mut places = HashMap::new();
-        for event in &self.events {
+        let (mut places, moved) = (HashMap::new(), self.moved());
+        for (index, event) in self.events.iter().enumerate() {
             let Event::Photograph(photograph) = event else { continue };
+            if index < moved.get(&photograph.view).copied().unwrap_or(0) {
+                continue;
+            }
             match places.entry(&photograph.file) {
                 Entry::Occupied(place) => photographs[*place.get()] = photograph,
                 Entry::Vacant(place) => {
@@ -123,16 +126,17 @@ impl Journal {
 
     /// What was exposed and not collected since, in order.
     pub fn waiting(&self) -> Vec<&Exposed> {
-        let mut waiting = BTreeMap::new();
+        let (mut waiting, moved) = (BTreeMap::new(), self.moved());
         for (index, event) in self.events.iter().enumerate() {
             match event {
+                Event::Exposed(exposed) if index < moved.get(&exposed.view).copied().unwrap_or(0) => {}
                 Event::Exposed(exposed) => {
                     waiting.insert(exposed.stem.as_str(), (index, exposed));
                 }
                 Event::Photograph(photograph) => {
                     waiting.remove(stem(&photograph.file));
                 }
-                Event::Run(_) | Event::ViewDone { .. } | Event::Notice { .. } => {}
+                Event::Run(_) | Event::ViewDone { .. } | Event::ViewMoved { .. } | Event::Notice { .. } => {}
             }
         }
         let mut waiting: Vec<_> = waiting.into_values().collect();
@@ -147,7 +151,19 @@ impl Journal {
 
     /// Whether all photographs of `view` were taken.
     pub fn is_done(&self, view: usize) -> bool {
-        self.events.iter().any(|event| matches!(event, Event::ViewDone { view: done } if *done == view))
+        let counts_from = self.moved().get(&view).copied().unwrap_or(0);
+        self.events[counts_from..]
+            .iter()
+            .any(|event| matches!(event, Event::ViewDone { view: done } if *done == view))
+    }
+
+    /// Where the rig has moved while a view was photographed, by view: what is before it does not count.
+    fn moved(&self) -> HashMap<usize, usize> {
+        let moved = |(index, event): (usize, &Event)| match event {
+            Event::ViewMoved { view } => Some((*view, index)),
+            _ => None,
+        };
+        self.events.iter().enumerate().filter_map(moved).collect()
     }
 }
 
