@@ -40,9 +40,31 @@ fn a_bracket_keeps_its_times_to_the_microsecond() {
         .flat_map(|(start, pulse)| [(start, true), (start + pulse, false)])
         .collect();
     assert_eq!(contact(&bench, start_us, true), pulses);
-    assert_eq!(contact(&bench, start_us, false), [(0, true), (starts_us[2] + 7, false)], "held throughout");
+    assert_eq!(contact(&bench, start_us, false), [(0, true), (starts_us[2] + 7 + 40_000, false)], "held throughout");
     let status = bench.status();
     assert_eq!((status.state, status.exposed, status.confirmed), (State::Still, 3, 0));
+}
+
+#[test]
+fn a_bracket_ends_a_pause_after_its_last_contact_and_nothing_moves_before() {
+    // Without a flash-sync, with one that is over before the pause, and with one that is not.
+    for (confirm_ms, end_us) in [(0, 1_000 + 500_000), (300, 1_000 + 500_000), (800, 800_000)] {
+        let mut bench = Bench::homed();
+        let start_us = bench.wires.now_us;
+        let reply = bench.ask(Command::Trigger(bracket(0, &[1_000], 500, confirm_ms)));
+        let triggering = bench.sequence;
+        assert_eq!(reply, Reply::Accepted { duration_ms: (end_us / 1_000) as u32 });
+        assert!(matches!(bench.event().reply, Reply::Exposed { index: 0, .. }));
+        if confirm_ms < 500 {
+            bench.wait_us(start_us + end_us - 1 - bench.wires.now_us);
+        }
+        assert_eq!(bench.status().state, State::Exposing);
+        assert_eq!(bench.ask(move_to(10_000, 0)), Reply::Refused(Fault::Busy));
+        let reply = Reply::Triggered { exposed: 1, confirmed: 0 };
+        assert_eq!(bench.event(), Answer { sequence: triggering, reply });
+        assert_eq!(bench.wires.now_us, start_us + end_us);
+        assert!(matches!(bench.ask(move_to(10_000, 0)), Reply::Accepted { .. }));
+    }
 }
 
 #[test]
