@@ -1,6 +1,6 @@
 //! A bracket of photographs on the camera's contacts.
 //!
-//! The half-press is held from the start to the end of the bracket, which comes a pause after the last contact has opened:
+//! The half-press is held from the start to the end of the bracket, a pause after the last contact has opened:
 //! a slow camera still exposes then. Every photograph's contact is closed for its time,
 //! counted from the moment at which it did close. Where a flash-sync is wired, the next photograph does not begin before
 //! this one was confirmed or its time to be confirmed was over: a flash-sync within that time never confirms another one.
@@ -69,8 +69,13 @@ impl Trigger {
         (self.index, self.confirmed)
     }
 
-    /// Opens the contacts and ends the bracket.
+    /// Opens the contacts and ends the bracket. A photograph whose contact has closed was taken.
     pub fn stop(&mut self, now_us: u64, pins: &mut impl Pins) {
+        if let Phase::Closed { at_us, confirmed } | Phase::Open { at_us, confirmed, .. } = self.phase {
+            let confirmed = confirmed || self.look(at_us, now_us, pins);
+            self.index += 1;
+            self.confirmed += u8::from(confirmed);
+        }
         pins.set_shutter(false);
         pins.set_half_press(false);
         self.phase = Phase::Stopped;
