@@ -144,7 +144,7 @@ pub enum Reply {
         /// Where.
         tilt_mdeg: i32,
     },
-    /// Event: what this sequence number began was ended by the rig itself, and the motors stand.
+    /// Event: what this sequence number began was ended by the rig itself, and the rig has settled.
     Halted {
         /// Why.
         halt: Halt,
