@@ -43,9 +43,11 @@ pub async fn run(mut controller: Controller, mut pins: impl Pins, mut last_words
                 match controller.handle(&request, now_us(), &mut pins) {
                     Handled::Answer(answer) => say(answer),
                     Handled::Tracker if with_tracker == Some(request.sequence) => {}
+                    // One that finds no room is passed on when it is said again.
                     Handled::Tracker => {
-                        with_tracker = Some(request.sequence);
-                        let _ = tracker::REQUESTS.try_send(request.clone());
+                        if tracker::REQUESTS.try_send(request.clone()).is_ok() {
+                            with_tracker = Some(request.sequence);
+                        }
                     }
                 }
                 if let Command::Hello { .. } = request.command
