@@ -67,7 +67,7 @@ pub struct Bracket {
     pub half_press_ms: u16,
     /// How long each photograph's contact is closed: the exposure time in bulb mode, else the length of a pulse.
     pub pulses_us: Vec<u32, LONGEST_BRACKET>,
-    /// From the end of one contact to the start of the next.
+    /// From the end of one contact to the start of the next, and after the last to the end of the bracket.
     pub pause_ms: u16,
     /// How long after its contact closed a photograph's flash-sync may come; 0 where no flash-sync is wired.
     pub confirm_ms: u16,
@@ -144,7 +144,7 @@ pub enum Reply {
         /// Where.
         tilt_mdeg: i32,
     },
-    /// Event: what this sequence number began was ended by the rig itself, and the motors stand.
+    /// Event: what this sequence number began was ended by the rig itself, and the rig has settled.
     Halted {
         /// Why.
         halt: Halt,

@@ -88,6 +88,8 @@ fn main() -> ! {
     config.baudrate = BAUD;
     // Every byte wakes its reader: the tracker's are stamped.
     config.eager_reads = Some(1);
+    // A line that is not plugged in is quiet.
+    config.rx_pull = Pull::Up;
     let (sent, received) = HOST.take();
     let host = BufferedUart::new(chip.USART1, chip.PA10, chip.PA9, sent, received, Interrupts, config)
         .expect("115200 baud fit the clock");

@@ -7,8 +7,8 @@ use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::channel::Channel;
 use embassy_time::{Duration, Instant, Timer};
 use heapless::String;
-use rigel_firmware_core::{Controller, Handled, Pins};
-use rigel_protocol::{Answer, Command, Reply, Request};
+use rigel_firmware_core::{Controller, Handled, Notice, Pins};
+use rigel_protocol::{Answer, Reply, Request};
 
 use crate::{host, tracker};
 
@@ -32,7 +32,8 @@ pub static HEARD: Channel<CriticalSectionRawMutex, Heard, 4> = Channel::new();
 pub static ALIVE: AtomicBool = AtomicBool::new(false);
 
 /// Obeys the host and steps the motors.
-pub async fn run(mut controller: Controller, mut pins: impl Pins, mut last_words: Option<String<60>>) -> ! {
+pub async fn run(mut controller: Controller, mut pins: impl Pins, last_words: Option<String<60>>) -> ! {
+    let mut last_words = Notice::new(last_words);
     // The request that the tracker's task has not answered: said again meanwhile, it is not passed on again.
     let mut with_tracker = None;
     loop {
@@ -40,18 +41,20 @@ pub async fn run(mut controller: Controller, mut pins: impl Pins, mut last_words
         let due = controller.next_us().map_or(pulse, |us| Instant::from_micros(us).min(pulse));
         match select(HEARD.receive(), Timer::at(due)).await {
             Either::First(Heard::Request(request)) => {
-                match controller.handle(&request, now_us(), &mut pins) {
+                let handled = controller.handle(&request, now_us(), &mut pins);
+                let words = last_words.after(&request, &handled);
+                match handled {
                     Handled::Answer(answer) => say(answer),
                     Handled::Tracker if with_tracker == Some(request.sequence) => {}
+                    // One that finds no room is passed on when it is said again.
                     Handled::Tracker => {
-                        with_tracker = Some(request.sequence);
-                        let _ = tracker::REQUESTS.try_send(request.clone());
+                        if tracker::REQUESTS.try_send(request.clone()).is_ok() {
+                            with_tracker = Some(request.sequence);
+                        }
                     }
                 }
-                if let Command::Hello { .. } = request.command
-                    && let Some(text) = last_words.take()
-                {
-                    say(Answer { sequence: request.sequence, reply: Reply::Log { text } });
+                if let Some(words) = words {
+                    say(words);
                 }
             }
             Either::First(Heard::Noise) => controller.bad_frame(),

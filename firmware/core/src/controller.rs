@@ -46,8 +46,16 @@ enum Activity {
     Homing(Homing),
     Moving { target: [i32; 2] },
     Braking { halt: Option<Halt> },
-    Settling { until_us: u64, stopped: bool },
+    Settling { until_us: u64, then: End },
     Exposing(Trigger),
+}
+
+/// What a move that has ended is told as, once the rig has settled.
+#[derive(Clone, Copy)]
+enum End {
+    Arrived,
+    Stopped,
+    Halted(Halt),
 }
 
 /// What becomes of a request.
@@ -146,18 +154,19 @@ impl Controller {
         match &mut self.activity {
             Activity::Idle => None,
             Activity::Homing(_) | Activity::Moving { .. } | Activity::Braking { .. } => {
-                self.run(now_us, pins)
+                self.run(now_us, pins);
+                None
             }
-            Activity::Settling { until_us, stopped } => {
+            Activity::Settling { until_us, then } => {
                 if now_us < *until_us {
                     return None;
                 }
-                let stopped = *stopped;
+                let then = *then;
                 let [pan_mdeg, tilt_mdeg] = self.position_mdeg();
-                Some(self.end(if stopped {
-                    Reply::Stopped { pan_mdeg, tilt_mdeg }
-                } else {
-                    Reply::Arrived { pan_mdeg, tilt_mdeg }
+                Some(self.end(match then {
+                    End::Arrived => Reply::Arrived { pan_mdeg, tilt_mdeg },
+                    End::Stopped => Reply::Stopped { pan_mdeg, tilt_mdeg },
+                    End::Halted(halt) => Reply::Halted { halt, pan_mdeg, tilt_mdeg },
                 }))
             }
             Activity::Exposing(trigger) => {

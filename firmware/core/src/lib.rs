@@ -12,9 +12,11 @@ mod homing;
 pub mod isotrak;
 mod mechanics;
 mod motion;
+mod notice;
 mod pins;
 mod trigger;
 
 pub use controller::{Controller, Handled};
 pub use mechanics::Mechanics;
+pub use notice::Notice;
 pub use pins::Pins;

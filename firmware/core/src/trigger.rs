@@ -1,6 +1,7 @@
 //! A bracket of photographs on the camera's contacts.
 //!
-//! The half-press is held from the start to the end of the bracket. Every photograph's contact is closed for its time,
+//! The half-press is held from the start to the end of the bracket, a pause after the last contact has opened:
+//! a slow camera still exposes then. Every photograph's contact is closed for its time,
 //! counted from the moment at which it did close. Where a flash-sync is wired, the next photograph does not begin before
 //! this one was confirmed or its time to be confirmed was over: a flash-sync within that time never confirms another one.
 
@@ -29,7 +30,7 @@ enum Phase {
     Closed { at_us: u64, confirmed: bool },
     /// The contact is open again; its flash-sync may still come.
     Open { at_us: u64, opened_us: u64, confirmed: bool },
-    /// Every photograph is taken.
+    /// Every photograph is taken; the pause after the last is not over.
     Taken,
     /// Told to stop.
     Stopped,
@@ -68,8 +69,13 @@ impl Trigger {
         (self.index, self.confirmed)
     }
 
-    /// Opens the contacts and ends the bracket.
+    /// Opens the contacts and ends the bracket. A photograph whose contact has closed was taken.
     pub fn stop(&mut self, now_us: u64, pins: &mut impl Pins) {
+        if let Phase::Closed { at_us, confirmed } | Phase::Open { at_us, confirmed, .. } = self.phase {
+            let confirmed = confirmed || self.look(at_us, now_us, pins);
+            self.index += 1;
+            self.confirmed += u8::from(confirmed);
+        }
         pins.set_shutter(false);
         pins.set_half_press(false);
         self.phase = Phase::Stopped;
@@ -108,17 +114,15 @@ impl Trigger {
                 let index = self.index;
                 self.index += 1;
                 self.confirmed += u8::from(confirmed);
-                if usize::from(self.index) < self.bracket.pulses_us.len() {
-                    self.phase = Phase::Waiting;
-                    self.due_us = opened_us.saturating_add(us(self.bracket.pause_ms));
-                } else {
-                    pins.set_half_press(false);
-                    self.phase = Phase::Taken;
-                    self.due_us = now_us;
-                }
+                let more = usize::from(self.index) < self.bracket.pulses_us.len();
+                self.phase = if more { Phase::Waiting } else { Phase::Taken };
+                self.due_us = opened_us.saturating_add(us(self.bracket.pause_ms));
                 Some(Event::Exposed { index, at_us, confirmed })
             }
-            Phase::Taken => Some(Event::Triggered { exposed: self.index, confirmed: self.confirmed }),
+            Phase::Taken => {
+                pins.set_half_press(false);
+                Some(Event::Triggered { exposed: self.index, confirmed: self.confirmed })
+            }
             Phase::Stopped => Some(Event::Stopped),
         }
     }

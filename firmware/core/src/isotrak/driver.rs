@@ -256,6 +256,9 @@ impl Driver {
                     self.phase = Phase::Running;
                     self.since_us = now_us;
                     self.set(TrackerState::Running);
+                    if !self.twice {
+                        self.log = Some("tracker: it lists once only, damage may pass");
+                    }
                 }
                 Phase::Within(number) => self.wait_ended(number, now_us),
             }
@@ -375,6 +378,40 @@ impl Driver {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    const ONCE_ONLY: &str = "tracker: it lists once only, damage may pass";
+
+    /// What the driver logs about a tracker that sends a record where this is the list that it was told.
+    fn logs(list: &[u8]) -> std::vec::Vec<&'static str> {
+        let (mut driver, mut now_us, mut obeys, mut logs) = (Driver::new(), 0, false, std::vec::Vec::new());
+        let tracking = Tracking { stations: 1, format: Format::Ascii, output: Output::Euler };
+        driver.track(tracking, 1, now_us).unwrap();
+        let numbers = "   0.89   0.04   1.82 -70.55  41.83 -23.48";
+        let line = if list == b"O2,4,1\r" { numbers.into() } else { numbers.repeat(2) };
+        while driver.status().state != TrackerState::Running || logs.is_empty() && now_us < 3_000_000 {
+            now_us = driver.next_us().unwrap().max(now_us + 1_000);
+            while let Some(output) = driver.advance(now_us) {
+                match output {
+                    TrackerOutput::Send(sent @ [b'O', ..]) => obeys = sent == list,
+                    TrackerOutput::Send(b"S") => driver.bytes(b"2\r\n", now_us),
+                    TrackerOutput::Send(b"C") if obeys => {
+                        driver.bytes(format!("01 {line}\r\n").as_bytes(), now_us);
+                    }
+                    TrackerOutput::Log(text) => logs.push(text),
+                    _ => {}
+                }
+            }
+            assert!(now_us < 20_000_000, "it does not run: {logs:?}");
+        }
+        logs
+    }
+
+    #[test]
+    fn a_list_without_copies_is_told() {
+        assert_eq!(logs(b"O2,4,1\r"), ["tracker: no record came", ONCE_ONLY]);
+        assert!(!logs(b"O2,4,2,4,1\r").contains(&ONCE_ONLY));
+        assert!(ONCE_ONLY.len() <= 60);
+    }
 
     #[test]
     fn it_is_small() {

@@ -23,6 +23,31 @@ fn a_limit_switch_that_closes_in_a_move_stops_the_motors_at_once() {
 }
 
 #[test]
+fn nothing_is_photographed_while_it_swings_after_a_halt() {
+    let mut bench = Bench::homed();
+    bench.ask(move_to(60_000, 30_000));
+    let moving = bench.sequence;
+    bench.wait_us(800_000);
+    bench.wires.stuck[0] = true;
+    while bench.rig.state() == State::Moving {
+        assert_eq!(bench.next(), None);
+    }
+    let halted_us = bench.wires.now_us;
+    let status = bench.status();
+    assert_eq!((status.state, status.halt), (State::Settling, Some(Halt::Switch(Axis::Pan))));
+    let one = || Command::Trigger(trigger::bracket(0, &[1_000], 0, 0));
+    assert_eq!(bench.ask(one()), Reply::Refused(Fault::Busy));
+    bench.wait_us(299_999);
+    assert_eq!(bench.ask(one()), Reply::Refused(Fault::Busy));
+    assert_eq!(bench.ask(Command::Stop), Reply::Accepted { duration_ms: 1 });
+    let answer = bench.event();
+    assert!(matches!(answer.reply, Reply::Halted { halt: Halt::Switch(Axis::Pan), .. }), "{answer:?}");
+    assert_eq!((answer.sequence, bench.wires.now_us), (moving, halted_us + 300_000));
+    assert_eq!(bench.rig.state(), State::Lost);
+    assert!(matches!(bench.ask(one()), Reply::Accepted { .. }));
+}
+
+#[test]
 fn a_wrong_reading_stops_nothing() {
     let mut bench = Bench::homed();
     bench.ask(move_to(60_000, 30_000));
@@ -91,7 +116,8 @@ fn a_silent_host_stops_a_move_within_the_deceleration_and_is_told_why() {
     assert!(
         matches!(answer.reply, Reply::Halted { halt: Halt::SilentHost, .. }) && answer.sequence == moving
     );
-    assert!(bench.wires.now_us - last_word_us <= 910_000, "half a second of braking");
+    assert!(bench.wires.last_edge_us() - last_word_us <= 910_000);
+    assert!(bench.wires.now_us - last_word_us <= 1_210_000, "half a second of braking, then it settles");
     bench.wires.legs.iter().for_each(|leg| ten_thousand::check(leg, &MECHANICS));
     let status = bench.status();
     assert_eq!((status.state, status.halt), (State::Lost, Some(Halt::SilentHost)));

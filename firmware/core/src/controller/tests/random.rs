@@ -135,10 +135,12 @@ impl Watch {
         };
         self.ends[end] += 1;
         assert_eq!(Some(answer.sequence), self.begun.take(), "what began ends once");
-        if end == 0 {
-            assert_eq!(before, State::Settling);
+        assert!(matches!(before, State::Settling | State::Exposing), "{before:?}");
+        if before == State::Settling {
             let last_edge_us = self.last_edge_us.into_iter().flatten().max().unwrap_or(0);
             assert!(self.bench.wires.now_us - last_edge_us >= 300_000, "not before it has settled");
+        }
+        if end == 0 {
             let off = [0, 1].map(|axis| self.bench.wires.motor[axis] - self.bench.rig.steps()[axis]);
             assert!(off.iter().all(|off| off.abs() <= 10), "noise has moved the switch by {off:?}");
             assert_eq!(*self.off.get_or_insert(off), off, "never a step lost");

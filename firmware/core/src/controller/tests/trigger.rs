@@ -40,9 +40,35 @@ fn a_bracket_keeps_its_times_to_the_microsecond() {
         .flat_map(|(start, pulse)| [(start, true), (start + pulse, false)])
         .collect();
     assert_eq!(contact(&bench, start_us, true), pulses);
-    assert_eq!(contact(&bench, start_us, false), [(0, true), (starts_us[2] + 7, false)], "held throughout");
+    assert_eq!(
+        contact(&bench, start_us, false),
+        [(0, true), (starts_us[2] + 7 + 40_000, false)],
+        "held throughout"
+    );
     let status = bench.status();
     assert_eq!((status.state, status.exposed, status.confirmed), (State::Still, 3, 0));
+}
+
+#[test]
+fn a_bracket_ends_a_pause_after_its_last_contact_and_nothing_moves_before() {
+    // Without a flash-sync, with one that is over before the pause, and with one that is not.
+    for (confirm_ms, end_us) in [(0, 1_000 + 500_000), (300, 1_000 + 500_000), (800, 800_000)] {
+        let mut bench = Bench::homed();
+        let start_us = bench.wires.now_us;
+        let reply = bench.ask(Command::Trigger(bracket(0, &[1_000], 500, confirm_ms)));
+        let triggering = bench.sequence;
+        assert_eq!(reply, Reply::Accepted { duration_ms: (end_us / 1_000) as u32 });
+        assert!(matches!(bench.event().reply, Reply::Exposed { index: 0, .. }));
+        if confirm_ms < 500 {
+            bench.wait_us(start_us + end_us - 1 - bench.wires.now_us);
+        }
+        assert_eq!(bench.status().state, State::Exposing);
+        assert_eq!(bench.ask(move_to(10_000, 0)), Reply::Refused(Fault::Busy));
+        let reply = Reply::Triggered { exposed: 1, confirmed: 0 };
+        assert_eq!(bench.event(), Answer { sequence: triggering, reply });
+        assert_eq!(bench.wires.now_us, start_us + end_us);
+        assert!(matches!(bench.ask(move_to(10_000, 0)), Reply::Accepted { .. }));
+    }
 }
 
 #[test]
@@ -103,23 +129,39 @@ fn the_flash_sync_confirms_its_own_photograph_and_no_other() {
 
 #[test]
 fn stop_opens_the_contacts_at_once() {
-    for (wait_us, exposed) in [(5_000, 0), (30_000, 0), (130_000, 1), (150_000, 1)] {
+    // Waking up; the first, between, the second; the pause after it. With a flash-sync that never comes and without.
+    let cases = [(5_000, 0), (30_000, 1), (130_000, 1), (150_000, 2), (245_000, 2)];
+    for (confirm_ms, (wait_us, exposed)) in [0, 115].into_iter().flat_map(|ms| cases.map(|case| (ms, case))) {
         let mut bench = Bench::homed();
-        bench.ask(Command::Trigger(bracket(20, &[100_000, 100_000], 20, 0)));
+        bench.ask(Command::Trigger(bracket(20, &[100_000, 100_000], 20, confirm_ms)));
         let triggering = bench.sequence;
         let end_us = bench.wires.now_us + wait_us;
         while bench.rig.next_us().is_some_and(|due_us| due_us <= end_us) {
             bench.next();
         }
         bench.wires.now_us = end_us;
-        assert_eq!(bench.ask(Command::Stop), Reply::Accepted { duration_ms: 0 });
+        for _ in 0..2 {
+            assert_eq!(bench.ask(Command::Stop), Reply::Accepted { duration_ms: 0 });
+        }
         assert!(!bench.wires.shutter && !bench.wires.half_press);
         let answer = bench.event();
         assert_eq!(answer.reply, Reply::Stopped { pan_mdeg: 0, tilt_mdeg: 0 });
         assert_eq!((answer.sequence, bench.wires.now_us), (triggering, end_us));
         let status = bench.status();
-        assert_eq!((status.state, status.exposed), (State::Still, exposed));
+        assert_eq!((status.state, status.exposed, status.confirmed), (State::Still, exposed, 0));
     }
+}
+
+#[test]
+fn a_photograph_that_is_stopped_is_counted_with_its_flash() {
+    let mut bench = Bench::homed();
+    bench.ask(Command::Trigger(bracket(0, &[100_000, 100_000], 20, 50)));
+    bench.wait_us(10_500);
+    bench.wires.flash = true;
+    bench.ask(Command::Stop);
+    assert!(matches!(bench.event().reply, Reply::Stopped { .. }));
+    let status = bench.status();
+    assert_eq!((status.exposed, status.confirmed), (1, 1));
 }
 
 #[test]
