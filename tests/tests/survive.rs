@@ -189,7 +189,7 @@ fn damage_at_any_byte_of_a_journal_is_an_error_with_its_line() {
         let mut damaged = journal.clone();
         damaged[at] = 0xff;
         restore(&folder, &files, &damaged);
-        let mut hold = |damaged: &[u8]| {
+        let hold = |damaged: &[u8]| {
             restore(&folder, &files, damaged);
             let message = Session::open(&folder).unwrap_err().to_string();
             let named = format!("journal.jsonl: line {line} is damaged");

@@ -162,6 +162,10 @@ impl Rig for Still {
         Ok(Reached { pan_rad, tilt_rad, settle_s: 0.0 })
     }
 
+    fn is_there(&mut self, _pan_rad: f64, _tilt_rad: f64) -> Result<bool> {
+        Ok(true)
+    }
+
     fn describe(&self) -> String {
         "still".into()
     }
