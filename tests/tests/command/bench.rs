@@ -58,6 +58,16 @@ fn watching_a_tracker_ends_with_a_summary() {
 }
 
 #[test]
+fn only_a_camera_on_the_trigger_line_has_a_flash_sync() {
+    let folder = tempfile::tempdir().unwrap();
+    let session = folder.path().join("s");
+    let output = rigel(&["capture", session.to_str().unwrap(), "--flash-sync"]).output().unwrap();
+    let told = String::from_utf8(output.stderr).unwrap();
+    assert!(!output.status.success() && told.contains("--camera trigger"), "{told}");
+    assert!(!session.exists());
+}
+
+#[test]
 fn what_is_attached_is_listed() {
     assert!(!succeed(&["devices"]).is_empty());
 }

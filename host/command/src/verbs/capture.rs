@@ -8,7 +8,7 @@ use rigel::{Error, Result};
 use rigel_simulated::rig::rehearse as rehearsed;
 
 use crate::arguments::{Capture, Collect, SamplingChoice};
-use crate::devices::Devices;
+use crate::devices::{Devices, With};
 use crate::progress::Bar;
 use crate::say::say;
 
@@ -20,7 +20,7 @@ pub fn capture(arguments: &Capture) -> Result<()> {
         &arguments.rig,
         &arguments.camera,
         &arguments.session,
-        arguments.tracker && !arguments.dry_run,
+        With { tracker: arguments.tracker && !arguments.dry_run, flash_sync: arguments.flash_sync },
     )?;
     let (manifest, done) = match &begun {
         Some(session) => (session.manifest.clone(), session.done_views()),
