@@ -18,7 +18,7 @@ mod tracking;
 mod trigger;
 
 pub use clock::{Clock, Moment};
-pub use conversation::SerialRig;
+pub use conversation::{SerialRig, StopLine};
 pub use place::{Ends, Place, Timing};
 pub use rigel_protocol::{Format, Halt, Output, State, TrackerState, TrackerStatus, Tracking};
 pub use serial::{Port, SerialPlace, Usb, ports};

@@ -38,6 +38,10 @@ impl Rig for Bench<'_> {
         Ok(Reached { pan_rad, tilt_rad, settle_s: 0.25 })
     }
 
+    fn is_there(&mut self, pan_rad: f64, tilt_rad: f64) -> Result<bool> {
+        Ok(self.0.get() == (pan_rad, tilt_rad))
+    }
+
     fn describe(&self) -> String {
         "a bench".into()
     }

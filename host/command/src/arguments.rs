@@ -60,6 +60,9 @@ pub struct Capture {
     /// collected afterwards, or `trigger:FOLDER`, where they appear; `folder:FOLDER`, which somebody else fills
     #[arg(long, default_value = "simulated", value_parser = CameraChoice::parse)]
     pub camera: CameraChoice,
+    /// The flash-sync of the camera on the trigger is wired: a photograph that it does not confirm is an error
+    #[arg(long)]
+    pub flash_sync: bool,
     /// Record the tracker at the rig meanwhile, in tracker.jsonl beside the journal
     #[arg(long)]
     pub tracker: bool,

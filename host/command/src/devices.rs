@@ -31,8 +31,20 @@ const STORING: Duration = Duration::from_secs(20);
 /// How long somebody may take for the next photograph.
 const BY_HAND: Duration = Duration::from_secs(120);
 
+/// How long after its contact closed a camera's flash-sync may come, seconds.
+const CONFIRM_S: f64 = 0.5;
+
 /// Where the surface is, pan and tilt in radians, as the simulated camera sees it.
 type Position = Box<dyn Fn() -> (f64, f64)>;
+
+/// What is wired to the rig beside its motors, and wanted.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct With {
+    /// The tracker is to be recorded.
+    pub tracker: bool,
+    /// The flash-sync of the camera on the trigger line confirms every photograph.
+    pub flash_sync: bool,
+}
 
 /// A rig and a camera, and what is known of them.
 pub struct Devices {
@@ -60,8 +72,16 @@ impl Devices {
     /// Nothing moves yet: the first move homes the rig. In front of a real rig the simulated camera sees the surface where the rig reports to be.
     ///
     /// # Errors
-    /// [`Error::Device`] when the rig or the camera does not answer, [`Error::Io`] when a camera's folder cannot be read.
-    pub fn open(rig: &str, camera: &CameraChoice, session: Option<&Session>, tracker: bool) -> Result<Self> {
+    /// [`Error::Request`] for a flash-sync of another camera than one on the trigger line, [`Error::Device`] when the rig or the
+    /// camera does not answer, [`Error::Io`] when a camera's folder cannot be read.
+    pub fn open(rig: &str, camera: &CameraChoice, session: Option<&Session>, with: With) -> Result<Self> {
+        let tracker = with.tracker;
+        if with.flash_sync && !matches!(camera, CameraChoice::Trigger(_)) {
+            return Err(Error::request(
+                "only a camera that the rig releases has a flash-sync at the rig",
+                "choose --camera trigger or trigger:FOLDER, or leave out --flash-sync",
+            ));
+        }
         let opened = match camera {
             CameraChoice::Webcam(index) => Some(webcam(*index)?),
             CameraChoice::Folder(folder) => {
@@ -92,9 +112,10 @@ impl Devices {
         };
         let (camera, known): (Box<dyn Camera>, _) = match (camera, opened) {
             (_, Some(camera)) => (camera, None),
-            (CameraChoice::Trigger(folder), _) => {
-                (Box::new(TriggerCamera::new(shutter(line), folder.as_deref(), STORING)?), None)
-            }
+            (CameraChoice::Trigger(folder), _) => (
+                Box::new(TriggerCamera::new(shutter(line, with.flash_sync), folder.as_deref(), STORING)?),
+                None,
+            ),
             _ => {
                 let (camera, known) = simulated_camera(position);
                 (Box::new(camera), Some(known))
@@ -156,13 +177,26 @@ fn track(rig: &mut SerialRig) -> Result<Records> {
     Ok(records)
 }
 
-/// The rig's contact, as a camera knows it.
-fn shutter(line: TriggerLine) -> Shutter {
+/// The rig's contact, as a camera knows it. With `flash_sync` a photograph counts only when the camera has confirmed it.
+fn shutter(mut line: TriggerLine, flash_sync: bool) -> Shutter {
+    if flash_sync {
+        line.contact.confirm_s = CONFIRM_S;
+    }
     Box::new(move |exposure_s| {
         let exposed = line.expose(&[exposure_s])?;
-        exposed.first().map(|exposed| exposed.at).ok_or_else(|| {
+        let exposed = exposed.first().ok_or_else(|| {
             Error::request("the rig tells of no photograph", "start again, and report this if it comes again")
-        })
+        })?;
+        if flash_sync && !exposed.confirmed {
+            return Err(Error::Device {
+                device: "camera on the trigger line".into(),
+                what: format!("its flash-sync did not confirm the photograph of {exposure_s} s"),
+                remedy: "see that the camera is awake and in bulb mode and that the flash-sync is wired, then start again, or \
+                         leave out --flash-sync"
+                    .into(),
+            });
+        }
+        Ok(exposed.at)
     })
 }
 

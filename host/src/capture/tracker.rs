@@ -73,20 +73,41 @@ impl TrackerLog {
             let ended = ended.clone();
             std::thread::spawn(move || {
                 let mut count = 0;
-                while !ended.load(Ordering::Relaxed) {
-                    let Some(record) = records.next(LOOK) else { continue };
+                loop {
+                    // Looked at first: what came before the end was told is still written.
+                    let last = ended.load(Ordering::Relaxed);
+                    let record = records.next(if last { Duration::ZERO } else { LOOK });
+                    let Some(record) = record else {
+                        if last {
+                            break;
+                        }
+                        continue;
+                    };
                     let mut line = serde_json::to_vec(&Line::from(record)).unwrap_or_default();
                     line.push(b'\n');
                     file.write_all(&line).map_err(Error::io("write", &path))?;
                     count += 1;
                 }
+                records.switch_off();
+                file.sync_data().map_err(Error::io("write", &path))?;
                 Ok(count)
             })
         };
         Ok(Self { ended, thread: Some(thread) })
     }
 
-    /// Ends; tells how many records were written.
+    /// Tells whether records are still written: a thread that has ended by itself has failed.
+    ///
+    /// # Errors
+    /// [`Error::Io`], once, when a record could not be written.
+    pub fn check(&mut self) -> Result<()> {
+        match self.thread.take_if(|thread| thread.is_finished()) {
+            Some(thread) => thread.join().unwrap_or(Ok(0)).map(|_| ()),
+            None => Ok(()),
+        }
+    }
+
+    /// Ends when all that has come is written and on the disk; tells how many records were written.
     ///
     /// # Errors
     /// [`Error::Io`] when one could not be written; what came after it is not there.

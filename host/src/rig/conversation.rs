@@ -38,6 +38,23 @@ pub struct SerialRig {
 /// No rig has coarser steps than this; it goes to the step nearest to an angle, and says where that is.
 const LARGEST_STEP_MDEG: u32 = 100;
 
+/// Stops a rig that somebody else moves.
+pub struct StopLine(Link);
+
+impl StopLine {
+    /// Tells the rig to stop whatever it does; whoever waits for its move hears that it stopped.
+    ///
+    /// # Errors
+    /// [`Error::Device`] when the rig does not answer.
+    pub fn stop(&self) -> Result<()> {
+        match self.0.ask(&Command::Stop)?.reply {
+            // A rig that has restarted stands.
+            Reply::Accepted { .. } | Reply::Refused(Fault::NoHello) => Ok(()),
+            reply => Err(self.0.confused(&reply)),
+        }
+    }
+}
+
 /// How a motion ended.
 enum End {
     At([i32; 2]),
@@ -93,6 +110,11 @@ impl SerialRig {
     /// The camera's contact: a handle that other threads may have.
     pub fn trigger_line(&self) -> TriggerLine {
         TriggerLine::new(self.link.clone())
+    }
+
+    /// What stops the rig: a handle that other threads may have.
+    pub fn stop_line(&self) -> StopLine {
+        StopLine(self.link.clone())
     }
 
     /// Where the rig is and what has happened; nothing moves.

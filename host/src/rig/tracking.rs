@@ -6,7 +6,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use rigel_protocol::{Command, Fault, Record, Reply, TrackerStatus, Tracking};
+use rigel_protocol::{Command, Fault, Format, Output, Record, Reply, TrackerStatus, Tracking};
 
 use super::clock::Moment;
 use super::conversation::SerialRig;
@@ -48,6 +48,17 @@ impl Records {
             if let Some(record) = TrackerRecord::new(at, moment.bound_s, &record) {
                 return Some(record);
             }
+        }
+    }
+}
+
+impl Records {
+    /// Switches the tracker off; what has not been received by now is lost. A rig that does not answer is no more than a
+    /// notice: the records are here.
+    pub(crate) fn switch_off(&self) {
+        let off = Tracking { stations: 0, format: Format::Binary, output: Output::Quaternion };
+        if let Err(error) = self.link.ask(&Command::Track(off)) {
+            self.link.notices().tell(format!("the tracker was not switched off: {error}"));
         }
     }
 }

@@ -58,6 +58,30 @@ fn watching_a_tracker_ends_with_a_summary() {
 }
 
 #[test]
+fn only_a_camera_on_the_trigger_line_has_a_flash_sync() {
+    let folder = tempfile::tempdir().unwrap();
+    let session = folder.path().join("s");
+    let output = rigel(&["capture", session.to_str().unwrap(), "--flash-sync"]).output().unwrap();
+    let told = String::from_utf8(output.stderr).unwrap();
+    assert!(!output.status.success() && told.contains("--camera trigger"), "{told}");
+    assert!(!session.exists());
+}
+
+#[test]
 fn what_is_attached_is_listed() {
-    assert!(!succeed(&["devices"]).is_empty());
+    // Every line names what is attached and what it is, or there is nothing: what is there differs from machine to machine.
+    let said = succeed(&["devices"]);
+    let ports = said.lines().filter(|line| !line.starts_with("webcam:")).collect::<Vec<_>>();
+    match &ports[..] {
+        ["no serial ports"] => {}
+        [] => panic!("not even that there are no serial ports: {said}"),
+        ports => {
+            for port in ports {
+                let parts: Vec<_> = port.splitn(3, ": ").collect();
+                let [name, usb, answer] = parts[..] else { panic!("{port}") };
+                assert!(!name.is_empty() && (usb == "no USB device" || usb.starts_with("USB ")), "{port}");
+                assert!(answer.starts_with("no rig (") || answer.contains("(protocol "), "{port}");
+            }
+        }
+    }
 }

@@ -237,3 +237,12 @@ fn an_observation_map_and_a_fit_leave_what_was_there() {
     assert_interrupted(&child.wait_with_output().unwrap());
     assert_untouched("an interrupted fit", &before, &snapshot(folder.path()));
 }
+
+#[test]
+fn a_rig_that_homes_is_told_to_stop() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut child = start(folder.path(), &["rig", "home", "--rig", "simulated"]);
+    wait_for(&mut child, catches_interrupts);
+    interrupt(&child);
+    assert_interrupted(&child.wait_with_output().unwrap());
+}

@@ -1,10 +1,11 @@
 //! `rigel devices`, `rigel rig` and `rigel tracker`: what is attached, and does it work.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use rigel::Result;
-use rigel::rig::{Format, Output, Port, Rig, RigStatus, SerialRig, TrackerState, Tracking, ports};
+use rigel::rig::{Format, Output, Port, Rig, RigStatus, SerialRig, StopLine, TrackerState, Tracking, ports};
 use rigel::tracker::{StationSummary, Summary, Watch};
+use rigel::{Error, Result};
 
 use crate::arguments::{self, RigVerb, TrackerVerb, TrackerWatch};
 use crate::bench::greet_named;
@@ -13,6 +14,8 @@ use crate::say::say;
 
 /// How often something that changes is looked at.
 const LOOK: Duration = Duration::from_millis(200);
+/// How soon Ctrl-C stops a rig that moves.
+const HEED: Duration = Duration::from_millis(20);
 /// How often the tracker's figures are shown.
 const SHOW: Duration = Duration::from_secs(1);
 
@@ -54,13 +57,15 @@ pub fn rig(arguments: &arguments::Rig) -> Result<()> {
     match &arguments.verb {
         RigVerb::Home(bench) => {
             let (mut rig, _simulated) = greet_named(&bench.rig)?;
-            rig.home()?;
+            let line = rig.stop_line();
+            stopped_by_interrupt(&line, || rig.home())?;
             tell(&rig.status()?);
         }
         RigVerb::Move(to) => {
             let (mut rig, _simulated) = greet_named(&to.bench.rig)?;
             let start = Instant::now();
-            rig.move_to(to.pan.to_radians(), to.tilt.to_radians())?;
+            let line = rig.stop_line();
+            stopped_by_interrupt(&line, || rig.move_to(to.pan.to_radians(), to.tilt.to_radians()))?;
             tell(&rig.status()?);
             say!("homed and moved in {:.1} s", start.elapsed().as_secs_f64());
         }
@@ -85,6 +90,29 @@ pub fn rig(arguments: &arguments::Rig) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// Does something that moves the rig; Ctrl-C stops the rig, and then it is [`Error::Interrupted`].
+fn stopped_by_interrupt<T>(line: &StopLine, moving: impl FnOnce() -> Result<T>) -> Result<T> {
+    heed_interrupts();
+    let ended = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        let watch = scope.spawn(|| {
+            while !ended.load(Ordering::Relaxed) && !interrupted() {
+                std::thread::sleep(HEED);
+            }
+            // Again and again: the move may begin only now.
+            while !ended.load(Ordering::Relaxed) {
+                line.stop()?;
+                std::thread::sleep(LOOK);
+            }
+            Ok(())
+        });
+        let outcome = moving();
+        ended.store(true, Ordering::Relaxed);
+        let stopped = watch.join().unwrap_or(Ok(()));
+        if interrupted() { stopped.and_then(|()| line.stop()).and(Err(Error::Interrupted)) } else { outcome }
+    })
 }
 
 fn tell(status: &RigStatus) {

@@ -1,14 +1,17 @@
 //! `rigel capture`: a rig and a camera make a session.
 
+use std::sync::{Mutex, PoisonError};
+
 use glam::DVec3;
 use rigel::capture::{self, Plan, TrackerLog, add_views, plan};
+use rigel::progress::Progress;
 use rigel::sampling::{Stop, icosphere_near, latitude_longitude_near, spiral, stratified, tour};
 use rigel::session::{self, Manifest, Session};
 use rigel::{Error, Result};
 use rigel_simulated::rig::rehearse as rehearsed;
 
 use crate::arguments::{Capture, Collect, SamplingChoice};
-use crate::devices::Devices;
+use crate::devices::{Devices, With};
 use crate::progress::Bar;
 use crate::say::say;
 
@@ -20,7 +23,7 @@ pub fn capture(arguments: &Capture) -> Result<()> {
         &arguments.rig,
         &arguments.camera,
         begun.as_ref(),
-        arguments.tracker && !arguments.dry_run,
+        With { tracker: arguments.tracker && !arguments.dry_run, flash_sync: arguments.flash_sync },
     )?;
     let (manifest, done) = match &begun {
         Some(session) => (session.manifest.clone(), session.done_views()),
@@ -48,14 +51,22 @@ pub fn capture(arguments: &Capture) -> Result<()> {
     }
     let log =
         devices.records.take().map(|records| TrackerLog::start(records, session.folder())).transpose()?;
-    capture::capture(&mut session, &mut *devices.rig, &mut *devices.camera, &Bar::new("capturing"))
-        .inspect_err(|error| {
-            if matches!(error, Error::Interrupted) {
-                say!("go on with: rigel capture {} --resume", arguments.session.display());
-            }
-        })?;
-    if let Some(log) = log {
-        say!("{} records of the tracker", log.finish()?);
+    let progress = Watched { bar: Bar::new("capturing"), log: Mutex::new(log) };
+    let captured = capture::capture(&mut session, &mut *devices.rig, &mut *devices.camera, &progress);
+    let Watched { bar, log } = progress;
+    drop(bar);
+    let recorded = log.into_inner().unwrap_or_else(PoisonError::into_inner).map(TrackerLog::finish);
+    if let Err(error) = captured {
+        if let Some(Err(other)) = recorded {
+            say!("the tracker's records, too: {other}");
+        }
+        if matches!(error, Error::Interrupted) {
+            say!("go on with: rigel capture {} --resume", arguments.session.display());
+        }
+        return Err(error);
+    }
+    if let Some(count) = recorded.transpose()? {
+        say!("{count} records of the tracker");
     }
     let waiting = session.waiting().len();
     if waiting > 0 {
@@ -71,6 +82,19 @@ pub fn capture(arguments: &Capture) -> Result<()> {
         session.done_views().len()
     );
     Ok(())
+}
+
+/// Progress of a capture that ends when the tracker's records cannot be written any more.
+struct Watched {
+    bar: Bar,
+    log: Mutex<Option<TrackerLog>>,
+}
+
+impl Progress for Watched {
+    fn step(&self, done: usize, total: usize) -> Result<()> {
+        self.log.lock().unwrap_or_else(PoisonError::into_inner).as_mut().map_or(Ok(()), TrackerLog::check)?;
+        self.bar.step(done, total)
+    }
 }
 
 /// What the rig's firmware makes of the views: the time of homing and of all moves, settling included, seconds.

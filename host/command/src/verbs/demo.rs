@@ -17,7 +17,7 @@ use rigel::{Error, Result, capture, file};
 
 use super::capture::new_manifest;
 use crate::arguments::{CameraChoice, Demo};
-use crate::devices::Devices;
+use crate::devices::{Devices, With};
 use crate::progress::Bar;
 use crate::say::say;
 
@@ -48,7 +48,7 @@ pub fn demo(arguments: &Demo) -> Result<()> {
     let start = Instant::now();
     let out = &arguments.out;
     prepare(out)?;
-    let mut devices = Devices::open("simulated", &CameraChoice::Simulated, None, false)?;
+    let mut devices = Devices::open("simulated", &CameraChoice::Simulated, None, With::default())?;
     let mut directions = icosphere_near(73, ZENITH_LIMIT_DEG.to_radians())?;
     let seen = directions.len();
     directions.extend(stratified(HELD_OUT, HELD_OUT_LIMIT_DEG.to_radians(), 1)?);
