@@ -67,6 +67,10 @@ unsafe fn UART5() {
 fn main() -> ! {
     #[cfg(feature = "emulator")]
     emulator::start();
+    // Before anything that can hang: a crystal that does not swing is waited for.
+    // SAFETY: nobody else takes this peripheral.
+    let mut watchdog = IndependentWatchdog::new(unsafe { peripherals::IWDG::steal() }, WATCHDOG_US);
+    watchdog.unleash();
     let (restart, last_words) = last_words::take();
     let chip = embassy_stm32::init(clocks::config());
 
@@ -115,7 +119,7 @@ fn main() -> ! {
     patient.spawn(host::say(say).expect("one such task"));
     let (say, hear) = tracker.split();
     patient.spawn(tracker::run(say, hear).expect("one such task"));
-    patient.spawn(feed_watchdog(IndependentWatchdog::new(chip.IWDG, WATCHDOG_US)).expect("one such task"));
+    patient.spawn(feed_watchdog(watchdog).expect("one such task"));
     loop {
         cortex_m::asm::wfi();
     }
@@ -147,7 +151,6 @@ async fn hear_flash_sync(mut contact: ExtiInput<'static, embassy_stm32::mode::As
 /// Only while both executors run: this task is one's, and hears from the other.
 #[embassy_executor::task]
 async fn feed_watchdog(mut watchdog: IndependentWatchdog<'static, peripherals::IWDG>) -> ! {
-    watchdog.unleash();
     loop {
         if motion::ALIVE.swap(false, Ordering::Relaxed) {
             watchdog.pet();
