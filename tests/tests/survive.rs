@@ -246,7 +246,7 @@ fn a_photograph_tells_how_it_was_taken() {
         Event::Notice { at, text } => text == "the cable was out" && *at >= run.at,
         _ => false,
     });
-    assert_eq!(notices.count(), 3, "one for each move");
+    assert_eq!(notices.count(), 6, "one for each move and one for each bracket");
     let mut before = run.at;
     for view in 0..3 {
         for (index, photograph) in session.photographs(view).iter().enumerate() {

@@ -35,6 +35,8 @@ const STEPS_PER_TURN: f64 = 16_000.0;
 const MOST_REFUSED: usize = 10;
 /// Within so many records the rig must have found its way into the tracker's.
 const FIRST_RECORDS: usize = 60;
+/// So many records at most, of sixty in a second, are said after the last that was written.
+const LAST_RECORDS: usize = 120;
 /// Of the 120 KiB that are free.
 const DEEPEST_STACK: usize = 16 * 1024;
 
@@ -148,6 +150,7 @@ fn check_records(session: &Path, said: &[Record]) -> usize {
         assert!(line.at_s + line.bound_s >= before, "record {count} came before the one before it");
         before = line.at_s;
     }
+    assert!(left.len() < LAST_RECORDS, "{} records were said after the last that was written", left.len());
     println!("{missing} records between the first and the last were refused by the rig");
     assert!(missing <= lines.len() / MOST_REFUSED, "{missing} of {} records were refused", lines.len());
     lines.len()
