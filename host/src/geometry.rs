@@ -138,6 +138,10 @@ pub struct Pose {
     pub centre_m: DVec3,
 }
 
+/// How sure a pose is: covariance of a small rotation `d` of the camera (radians, camera frame: R' = exp(d) R) and, after
+/// it, of a shift of its optical centre (metres, surface frame).
+pub type PoseCovariance = [[f64; 6]; 6];
+
 impl Pose {
     /// The nominal pose of the pan/tilt rig: the camera stays on +z at `distance_m`, the surface turns by `pan_rad`
     /// about its z and then by `tilt_rad` about x.
