@@ -1,17 +1,20 @@
 //! From a session's photographs to the radiance of every view, on one scale.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::fs;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 use rayon::prelude::*;
 
 use crate::calibration::Vignetting;
+use crate::camera::exif;
 use crate::picture::Picture;
 use crate::progress::Progress;
-use crate::radiance::{NoiseModel, RadianceImage, Response, Samples, Stack, merge};
+use crate::radiance::{MeasuredTime, NoiseModel, RadianceImage, Response, Samples, Stack, merge};
 use crate::session::Session;
 use crate::{Error, Result, file};
 
@@ -29,6 +32,25 @@ pub enum ResponseChoice {
     Linear,
 }
 
+/// Whose word is taken for the photographs' exposure times, where they are known.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Times {
+    /// What was stated (by EXIF, a table, the rig); a photograph whose pixels contradict it is refused.
+    #[default]
+    Stated,
+    /// What was stated, but where the pixels contradict it, what they measure.
+    Measured,
+}
+
+/// How to measure.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Options {
+    /// What a level is worth.
+    pub response: ResponseChoice,
+    /// How long the exposures were.
+    pub times: Times,
+}
+
 /// What was measured, to tell the user.
 #[derive(Debug)]
 pub struct Measured {
@@ -40,8 +62,12 @@ pub struct Measured {
     pub saturated: f64,
     /// Part of the pixels written now that were too dark in every photograph.
     pub dark: f64,
+    /// Part of the pixels written now where something moved between the photographs.
+    pub moved: f64,
     /// Residual of the flat fields, relative; `None` when the session has none.
     pub vignetting_residual: Option<f64>,
+    /// The photographs of the views written now whose measured exposure time was taken in place of the stated one.
+    pub corrected: Vec<MeasuredTime>,
 }
 
 /// The response is learnt from at most so many views, spread over the session.
@@ -54,9 +80,18 @@ const VIEWS_FOR_RESPONSE: usize = 40;
 /// measured in another way stays until all of the new is there.
 ///
 /// # Errors
-/// [`Error::Input`] naming a photograph that cannot be used; [`Error::Request`] when no response can be recovered;
-/// [`Error::Io`]; [`Error::Interrupted`].
+/// [`Error::Input`] naming a photograph that cannot be used, or whose exposure time its pixels contradict;
+/// [`Error::Request`] when no response can be recovered; [`Error::Io`]; [`Error::Interrupted`].
 pub fn measure(session: &Session, choice: &ResponseChoice, progress: &dyn Progress) -> Result<Measured> {
+    measure_with(session, &Options { response: choice.clone(), ..Options::default() }, progress)
+}
+
+/// [`measure`] with all its options.
+///
+/// # Errors
+/// Those of [`measure`]; with [`Times::Measured`] no photograph is refused for its exposure time.
+pub fn measure_with(session: &Session, options: &Options, progress: &dyn Progress) -> Result<Measured> {
+    let choice = &options.response;
     let views = session.done_views();
     if views.is_empty() {
         return Err(Error::input(
@@ -76,68 +111,155 @@ pub fn measure(session: &Session, choice: &ResponseChoice, progress: &dyn Progre
             "bring them with `rigel collect`",
         ));
     }
+    check_focal_lengths(session, &views)?;
     let looked_at = if *choice == ResponseChoice::Recover { views.len().min(VIEWS_FOR_RESPONSE) } else { 0 };
     let total = looked_at + views.len();
-    let mut samples = Samples::default();
-    for i in 0..looked_at {
-        progress.step(i, total)?;
-        samples.add(&stack(session, views[i * views.len() / looked_at])?)?;
-    }
-    let white = stack(session, views[0])?.white();
-    let response = match choice {
-        ResponseChoice::Recover => samples.response()?,
-        ResponseChoice::File(path) => Response::read_csv(path)?,
-        ResponseChoice::Srgb if white == Picture::FLOAT_WHITE => {
-            return Err(Error::input(
-                session.folder(),
-                "has photographs of floating-point numbers, to which the sRGB curve does not apply",
-                "use --response linear",
-            ));
+    let done = AtomicUsize::new(0);
+    let step = || progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, total);
+    let learnt = match choice {
+        ResponseChoice::Recover => {
+            let some: Vec<usize> = (0..looked_at).map(|i| views[i * views.len() / looked_at]).collect();
+            let learnt = samples(session, &some, &step)?.learn()?;
+            options.times.judge(&learnt.doubtful)?;
+            Some(learnt)
         }
-        ResponseChoice::Srgb => Response::srgb(white),
-        ResponseChoice::Linear => Response::linear(white),
+        _ => None,
     };
-    let noise = if looked_at > 0 { samples.noise(&response) } else { NoiseModel::assumed(&response) };
+    let (response, noise) = match learnt {
+        Some(learnt) => (learnt.response, learnt.noise),
+        None => {
+            let response = given(session, choice, stack(session, views[0])?.white())?;
+            let noise = NoiseModel::assumed(&response);
+            (response, noise)
+        }
+    };
     let vignetting = vignetting(session, &response, &noise)?;
 
-    let folder = gather_in(session, &made_from(session, &views, &response, &noise, vignetting.as_ref())?)?;
+    let folder = gather_in(
+        session,
+        &made_from(session, &views, &response, &noise, vignetting.as_ref(), options.times)?,
+    )?;
     let description = match choice {
         ResponseChoice::Recover => "recovered from the session's brackets".into(),
         ResponseChoice::File(path) => path.display().to_string(),
         ResponseChoice::Srgb => "srgb".into(),
         ResponseChoice::Linear => "linear".into(),
     };
-    let (done, written) = (AtomicUsize::new(looked_at), AtomicUsize::new(0));
-    let [pixels, saturated, dark] = [const { AtomicUsize::new(0) }; 3];
+    let written = AtomicUsize::new(0);
+    let [pixels, saturated, dark, moved] = [const { AtomicUsize::new(0) }; 4];
+    let corrected = Mutex::new(Vec::new());
     let finished = response.write_csv(&folder.join("response.csv")).and_then(|()| {
         views.par_iter().try_for_each(|&view| {
             let path = folder.join(session.radiance_path(view).file_name().unwrap_or_default());
             if !path.is_file() {
-                let mut image = merge(&stack(session, view)?, &response, &noise)?;
+                let mut stack = stack(session, view)?;
+                // sRGB is nobody's response exactly: what contradicts it may be right.
+                if *choice != ResponseChoice::Srgb && times_are_known(session, view) {
+                    let times = stack.times(&response, &noise);
+                    let doubtful: Vec<MeasuredTime> =
+                        times.iter().filter(|time| time.is_doubtful()).cloned().collect();
+                    options.times.judge(&doubtful)?;
+                    for (time_s, time) in stack.exposure_s.iter_mut().zip(&times) {
+                        if time.is_doubtful() {
+                            *time_s = time.measured_s;
+                        }
+                    }
+                    corrected.lock().unwrap_or_else(PoisonError::into_inner).extend(doubtful);
+                }
+                let mut image = merge(&stack, &response, &noise)?;
                 if let Some(vignetting) = &vignetting {
                     vignetting.correct(&mut image)?;
                 }
                 let count = |flag| image.mask.iter().filter(|&&mask| mask & flag != 0).count();
                 saturated.fetch_add(count(RadianceImage::SATURATED), Ordering::Relaxed);
                 dark.fetch_add(count(RadianceImage::DARK), Ordering::Relaxed);
+                moved.fetch_add(count(RadianceImage::GHOST), Ordering::Relaxed);
                 pixels.fetch_add(image.mask.len(), Ordering::Relaxed);
                 image.write_exr(&path, &description)?;
                 written.fetch_add(1, Ordering::Relaxed);
             }
-            progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, total)
+            step()
         })
     });
     settle(session, &folder, finished)?;
     let written = written.into_inner();
     let pixels = pixels.into_inner().max(1);
     let part = |count: AtomicUsize| count.into_inner() as f64 / pixels as f64;
+    let mut corrected = corrected.into_inner().unwrap_or_else(PoisonError::into_inner);
+    corrected.sort_by(|a, b| a.path.cmp(&b.path));
     Ok(Measured {
         written,
         kept: views.len() - written,
         saturated: part(saturated),
         dark: part(dark),
+        moved: part(moved),
         vignetting_residual: vignetting.map(|vignetting| vignetting.residual),
+        corrected,
     })
+}
+
+impl Times {
+    /// Refuses photographs whose times are in doubt, where the stated ones were asked for.
+    fn judge(self, doubtful: &[MeasuredTime]) -> Result<()> {
+        match (self, doubtful.first()) {
+            (Self::Stated, Some(time)) => Err(time.error()),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// A response that need not be recovered.
+fn given(session: &Session, choice: &ResponseChoice, white: u16) -> Result<Response> {
+    match choice {
+        ResponseChoice::File(path) => Response::read_csv(path),
+        ResponseChoice::Srgb if white == Picture::FLOAT_WHITE => Err(Error::input(
+            session.folder(),
+            "has photographs of floating-point numbers, to which the sRGB curve does not apply",
+            "use --response linear",
+        )),
+        ResponseChoice::Srgb => Ok(Response::srgb(white)),
+        ResponseChoice::Linear | ResponseChoice::Recover => Ok(Response::linear(white)),
+    }
+}
+
+/// A zoom that was touched makes every lens and vignetting wrong: photographs of one lens must have one focal length, as far
+/// as they tell it.
+fn check_focal_lengths(session: &Session, views: &[usize]) -> Result<()> {
+    let mut first: BTreeMap<usize, (PathBuf, f64)> = BTreeMap::new();
+    for &view in views {
+        for photograph in session.photographs(view) {
+            let path = session.photograph_path(photograph);
+            let Some(length_mm) = exif::read(&path)?.focal_length_mm else { continue };
+            let lens = session.manifest.views[view].lens;
+            let (other, before_mm) = first.entry(lens).or_insert_with(|| (path.clone(), length_mm));
+            if (length_mm / *before_mm - 1.0).abs() > 1e-3 {
+                return Err(Error::input(
+                    &path,
+                    format!("was taken at {length_mm} mm, but {} at {before_mm} mm", other.display()),
+                    "photograph a session at one focal length, or make a session of each",
+                ));
+            }
+        }
+    }
+    Ok(())
+}
+
+fn times_are_known(session: &Session, view: usize) -> bool {
+    session.photographs(view).iter().all(|photograph| photograph.exposure_s.is_some())
+}
+
+/// Blocks of some views' photographs, in their order.
+fn samples(session: &Session, views: &[usize], step: &(dyn Fn() -> Result<()> + Sync)) -> Result<Samples> {
+    let each: Vec<Samples> = views
+        .par_iter()
+        .map(|&view| {
+            let mut samples = Samples::default();
+            samples.add(&stack(session, view)?)?;
+            step().map(|()| samples)
+        })
+        .collect::<Result<_>>()?;
+    let mut all = Samples::default();
+    each.into_iter().try_for_each(|samples| all.append(samples)).map(|()| all)
 }
 
 /// The photographs of a view with their times.
@@ -175,12 +297,13 @@ fn made_from(
     response: &Response,
     noise: &NoiseModel,
     vignetting: Option<&Vignetting>,
+    times: Times,
 ) -> Result<String> {
     let mut hasher = DefaultHasher::new();
     for channel in 0..3 {
         response.exposure(channel).iter().for_each(|value| value.to_bits().hash(&mut hasher));
     }
-    let mut text = format!("response {:x}\n{noise:?}\n{vignetting:?}\n", hasher.finish());
+    let mut text = format!("response {:x}\n{noise:?}\n{vignetting:?}\n{times:?}\n", hasher.finish());
     for photograph in views.iter().flat_map(|&view| session.photographs(view)) {
         let path = session.photograph_path(photograph);
         let metadata = fs::metadata(&path).map_err(Error::io("read", &path))?;

@@ -5,15 +5,20 @@
 //! [`RadianceImage`]. The response is normalised once, so all views of a session share one unit.
 
 mod exr_file;
+mod ghost;
 mod image;
 mod merge;
 mod noise;
+pub mod others;
+mod prior;
 mod recover;
 mod response;
 mod samples;
 #[cfg(test)]
 mod simulated;
 mod stack;
+mod times;
+mod weights;
 
 pub use image::{Mask, RadianceImage};
 pub use merge::merge;
@@ -21,3 +26,4 @@ pub use noise::NoiseModel;
 pub use response::Response;
 pub use samples::Samples;
 pub use stack::Stack;
+pub use times::{Learnt, MeasuredTime};

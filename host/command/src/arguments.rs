@@ -249,6 +249,15 @@ pub struct Radiance {
     /// What the photographs' levels are worth: recover (from the brackets), srgb, linear, or a response.csv
     #[arg(long, default_value = "recover")]
     pub response: String,
+    /// Where the pixels contradict an exposure time: stated refuses the photograph, measured goes by the pixels
+    #[arg(long, value_enum, default_value = "stated")]
+    pub exposure_times: ExposureTimes,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum ExposureTimes {
+    Stated,
+    Measured,
 }
 
 #[derive(Args)]

@@ -16,6 +16,8 @@ pub struct Exif {
     pub exposure_s: Option<f64>,
     /// When the exposure began.
     pub taken: Option<CameraTime>,
+    /// The focal length, millimetres.
+    pub focal_length_mm: Option<f64>,
 }
 
 /// A moment by a camera's clock, which knows no time zone and is right to a minute or so.
@@ -36,15 +38,18 @@ pub fn read(path: &Path) -> Result<Exif> {
     let Ok(block) = Reader::new().read_from_container(&mut BufReader::new(file)) else {
         return Ok(Exif::default());
     };
-    let exposure_s = match block.get_field(Tag::ExposureTime, In::PRIMARY).map(|field| &field.value) {
-        Some(Value::Rational(times)) => times.first().map(Rational::to_f64),
+    let number = |tag| match block.get_field(tag, In::PRIMARY).map(|field| &field.value) {
+        Some(Value::Rational(numbers)) => numbers.first().map(Rational::to_f64),
         _ => None,
     };
+    let exposure_s = number(Tag::ExposureTime);
+    // A lens that does not tell says 0, or 0/0.
+    let focal_length_mm = number(Tag::FocalLength).filter(|length| length.is_finite() && *length > 0.0);
     let taken = block.get_field(Tag::DateTimeOriginal, In::PRIMARY).and_then(text).and_then(|date| {
         let fraction = block.get_field(Tag::SubSecTimeOriginal, In::PRIMARY).and_then(text);
         camera_time(date, fraction.unwrap_or_default())
     });
-    Ok(Exif { exposure_s, taken })
+    Ok(Exif { exposure_s, taken, focal_length_mm })
 }
 
 /// An EXIF block that tells an exposure time and, if known, when the exposure began, in UTC to a millisecond.
@@ -134,7 +139,7 @@ mod tests {
                 assert!((taken.step_s - 1e-3).abs() < 1e-12);
             }
         }
-        assert_eq!(read(write(0.5, None).path()).unwrap(), Exif { exposure_s: Some(0.5), taken: None });
+        assert_eq!(read(write(0.5, None).path()).unwrap(), Exif { exposure_s: Some(0.5), ..Exif::default() });
     }
 
     #[test]

@@ -95,8 +95,9 @@ fn bilinear(image: &RadianceImage, pixel: DVec2) -> Option<([f32; 3], f32)> {
 /// border shifted in) and stays absent.
 fn measured(image: &RadianceImage, index: usize) -> Option<([f32; 3], [f32; 3])> {
     let (mut radiance, mut variance) = (image.radiance[index], image.variance[index]);
-    match image.mask[index] {
-        0 => {}
+    // What moved between the photographs counts where most of them agree.
+    match image.mask[index] & !RadianceImage::GHOST {
+        0 if variance.iter().all(|v| v.is_finite()) => {}
         RadianceImage::DARK if variance.iter().any(|v| v.is_finite()) => {
             for (value, spread) in radiance.iter_mut().zip(&mut variance).filter(|(_, v)| !v.is_finite()) {
                 *spread = *value * *value / 12.0;

@@ -43,7 +43,13 @@ impl RadianceImage {
             (KIND, AttributeValue::I32(VERSION)),
             ("rigelUnit", AttributeValue::Text(unit.into())),
             ("rigelResponse", AttributeValue::Text(response.into())),
-            ("rigelMask", AttributeValue::Text("1 saturated (lower bound), 2 dark (upper bound)".into())),
+            (
+                "rigelMask",
+                AttributeValue::Text(
+                    "1 saturated (lower bound), 2 dark (upper bound), 4 moved (infinite variance: unknown)"
+                        .into(),
+                ),
+            ),
         ] {
             attributes.other.insert(name.into(), value);
         }

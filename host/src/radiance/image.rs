@@ -1,6 +1,6 @@
 //! A view's radiance: what every pixel measured, how sure it is, and which pixels could not be measured.
 
-/// Why a pixel could not be measured; 0 means that it was.
+/// What was wrong with a pixel; 0 means nothing.
 pub type Mask = u8;
 
 /// Radiance, variance and mask of one view, row by row from the top-left pixel.
@@ -14,7 +14,7 @@ pub struct RadianceImage {
     pub radiance: Vec<[f32; 3]>,
     /// Variance of each channel, in the square of that unit.
     pub variance: Vec<[f32; 3]>,
-    /// Per pixel, a combination of [`RadianceImage::SATURATED`] and [`RadianceImage::DARK`], or 0.
+    /// Per pixel, a combination of [`RadianceImage::SATURATED`], [`RadianceImage::DARK`] and [`RadianceImage::GHOST`], or 0.
     pub mask: Vec<Mask>,
 }
 
@@ -23,4 +23,7 @@ impl RadianceImage {
     pub const SATURATED: Mask = 1;
     /// At least one channel was too dark in every photograph.
     pub const DARK: Mask = 2;
+    /// Something moved between the photographs: the radiance is what most of them agree on, where the variance is finite;
+    /// where it is infinite, none do.
+    pub const GHOST: Mask = 4;
 }

@@ -2,19 +2,24 @@
 
 use rayon::prelude::*;
 
-use super::{Mask, NoiseModel, RadianceImage, Response, Stack};
+use super::ghost;
+use super::weights::{Channel, Measured};
+use super::{NoiseModel, RadianceImage, Response, Stack};
 use crate::{Error, Result};
 
 /// Turns a stack into radiance with its variance. A single photograph will do.
 ///
-/// Each channel is the mean of exposure / time, weighted by the inverse of its variance. A noisy level that happens to
-/// be low would claim a small variance and draw the mean down; so the mean found first tells the level that was to be
-/// expected in each photograph, and the variances are evaluated there. For the same reason a photograph is left out
-/// where its *expected* level comes near black or saturation, as long as others remain.
+/// Each channel is the mean of exposure / time, weighted by the inverse of its variance; that of the photographs' noise comes
+/// with the response's own, where it was recovered. (The estimator of least variance: Granados et al., "Optimal HDR
+/// reconstruction with linear digital cameras", CVPR 2010, equation 8, for any response.)
 ///
 /// A channel that every photograph clipped gets a lower bound, one that was too dark in all of them an upper bound; the
 /// pixel is flagged and the channel's variance is infinite. A photograph's pure colours (a border shifted in by an
 /// alignment tool, say) are black or saturated in every channel and so never counted as measured.
+///
+/// Where neighbouring pixels differ between photographs by more than noise, something moved: the pixel is flagged
+/// [`RadianceImage::GHOST`] and measured by the majority of photographs that agree; without a majority its variance is
+/// infinite.
 ///
 /// # Errors
 /// [`Error::Input`] where the response belongs to photographs of another depth.
@@ -24,8 +29,10 @@ pub fn merge(stack: &Stack, response: &Response, noise: &NoiseModel) -> Result<R
         let what = format!("its levels go to {}, the response's to {}", first.white, response.white());
         return Err(Error::input(&first.path, what, "recover or choose a response for these photographs"));
     }
-    let tables = [0, 1, 2].map(|channel| Tables::new(response, noise, channel));
-    let times: Vec<f32> = stack.exposure_s.iter().map(|&t| t as f32).collect();
+    let order = stack.longest_first();
+    let times: Vec<f32> = order.iter().map(|&i| stack.exposure_s[i] as f32).collect();
+    let pictures: Vec<&[[u16; 3]]> = order.iter().map(|&i| &stack.pictures[i].levels[..]).collect();
+    let channels = [0, 1, 2].map(|channel| Channel::new(response, noise, channel, &times));
     let (width, height) = (first.width as usize, first.height as usize);
     let mut image = RadianceImage {
         width: first.width,
@@ -36,117 +43,23 @@ pub fn merge(stack: &Stack, response: &Response, noise: &NoiseModel) -> Result<R
     };
     let rows = image.radiance.par_chunks_mut(width).zip(image.variance.par_chunks_mut(width));
     rows.zip(image.mask.par_chunks_mut(width)).enumerate().for_each(|(y, ((radiance, variance), mask))| {
-        let levels: Vec<&[[u16; 3]]> =
-            stack.pictures.iter().map(|p| &p.levels[y * width..(y + 1) * width]).collect();
-        let mut exposures = vec![[0.0; 3]; levels.len()];
+        let levels: Vec<&[[u16; 3]]> = pictures.iter().map(|p| &p[y * width..(y + 1) * width]).collect();
+        let mut longest = [0; 3];
         for x in 0..width {
-            // All photographs and channels of a pixel in one sweep: three sums at a time keep the processor busy.
-            let (mut sum, mut weight) = ([0.0; 3], [0.0; 3]);
-            for ((row, exposure), &time_s) in levels.iter().zip(&mut exposures).zip(&times) {
-                for channel in 0..3 {
-                    let (value, inverse) = tables[channel].levels[usize::from(row[x][channel])];
-                    exposure[channel] = if inverse > 0.0 { value } else { NOT_MEASURED };
-                    sum[channel] += time_s * inverse * value;
-                    weight[channel] += time_s * time_s * inverse;
-                }
-            }
-            let first = [0, 1, 2].map(|c| if weight[c] > 0.0 { sum[c] / weight[c] } else { 0.0 });
-            let (mut again, mut expected) = ([0.0; 3], [0.0; 3]);
-            for (exposure, &time_s) in exposures.iter().zip(&times) {
-                for channel in 0..3 {
-                    let inverse = tables[channel].inverse_variance_at(first[channel] * time_s);
-                    let inverse = if exposure[channel] >= 0.0 { inverse } else { 0.0 };
-                    again[channel] += time_s * inverse * exposure[channel];
-                    expected[channel] += time_s * time_s * inverse;
-                }
-            }
-            for channel in 0..3 {
-                (radiance[x][channel], variance[x][channel]) = if expected[channel] > 0.0 {
-                    (again[channel] / expected[channel], 1.0 / expected[channel])
-                } else if weight[channel] > 0.0 {
-                    (first[channel], 1.0 / weight[channel])
-                } else {
-                    let (bound, flags) = tables[channel].bound(&times, |j| levels[j][x][channel]);
-                    mask[x] |= flags;
-                    (bound, f32::INFINITY)
-                };
+            for c in 0..3 {
+                let level = |j: usize| levels[j][x][c];
+                let measured = channels[c].quick(level, &mut longest[c]);
+                (radiance[x][c], variance[x][c]) = measured.unwrap_or_else(|| {
+                    let Measured { radiance, variance, flags, agrees } =
+                        channels[c].careful(0..times.len(), level);
+                    mask[x] |= flags | if agrees { 0 } else { ghost::ODD };
+                    (radiance, variance)
+                });
             }
         }
     });
+    ghost::settle(&mut image, &pictures, &channels);
     Ok(image)
-}
-
-/// What a level is worth, and what an exposure would be, in one channel.
-struct Tables {
-    /// Per level: exposure, and the inverse of its variance; 0 where the level is too dark or saturated.
-    levels: Vec<(f32, f32)>,
-    /// Inverse variance by exposure, in steps of a 32nd of an octave; 0 where the level to be expected may be clipped.
-    expected: Vec<f32>,
-    dark_level: u16,
-    saturated_level: u16,
-    dark: f32,
-    saturated: f32,
-}
-
-/// The topmost bits of a positive float count its logarithm, near enough.
-const SHIFT: u32 = 18;
-/// Stands for the exposure of a level that is too dark or saturated.
-const NOT_MEASURED: f32 = -1.0;
-
-impl Tables {
-    fn new(response: &Response, noise: &NoiseModel, channel: usize) -> Self {
-        let table = response.exposure(channel);
-        let (dark_level, saturated_level) = (noise.dark_level[channel], noise.saturated_level[channel]);
-        let (dark, saturated) = (table[usize::from(dark_level)], table[usize::from(saturated_level)]);
-        let variance_at = |x: f32, level: usize| {
-            noise.variance(channel, f64::from(x), f64::from(response.slope(channel, level))) as f32
-        };
-        let levels = (0..table.len()).map(|z| {
-            let valid = z > usize::from(dark_level) && z < usize::from(saturated_level);
-            (table[z], if valid { 1.0 / variance_at(table[z], z) } else { 0.0 })
-        });
-        let expected = (0..=(f32::INFINITY.to_bits() >> SHIFT)).map(|index| {
-            let x = f32::from_bits((index << SHIFT) | (1 << (SHIFT - 1)));
-            let level = table.partition_point(|&entry| entry < x).min(table.len() - 1);
-            let variance = variance_at(x, level);
-            let margin = 2.0 * variance.sqrt();
-            if x - margin > dark && x + margin < saturated { 1.0 / variance } else { 0.0 }
-        });
-        Self {
-            levels: levels.collect(),
-            expected: expected.collect(),
-            dark_level,
-            saturated_level,
-            dark,
-            saturated,
-        }
-    }
-
-    #[inline]
-    fn inverse_variance_at(&self, exposure: f32) -> f32 {
-        self.expected[(exposure.to_bits() >> SHIFT) as usize]
-    }
-
-    /// The bound on the radiance of a channel that no photograph measured, and why.
-    #[cold]
-    fn bound(&self, times: &[f32], level: impl Fn(usize) -> u16) -> (f32, Mask) {
-        let (mut lower, mut upper) = (0.0f32, f32::INFINITY);
-        for (j, &time_s) in times.iter().enumerate() {
-            if level(j) >= self.saturated_level {
-                lower = lower.max(self.saturated / time_s);
-            } else if level(j) <= self.dark_level {
-                upper = upper.min(self.dark / time_s);
-            }
-        }
-        let mut flags = 0;
-        if lower > 0.0 {
-            flags |= RadianceImage::SATURATED;
-        }
-        if upper < f32::INFINITY {
-            flags |= RadianceImage::DARK;
-        }
-        (if lower > 0.0 { lower } else { upper }, flags)
-    }
 }
 
 #[cfg(test)]
@@ -271,7 +184,11 @@ mod tests {
         let without = merge(&both, &response, &noise).unwrap();
         both.pictures.push(border.pictures[0].clone());
         both.exposure_s.push(1.0);
-        assert_eq!(merge(&both, &response, &noise).unwrap(), without);
+        let with = merge(&both, &response, &noise).unwrap();
+        assert_eq!(with.mask, without.mask);
+        for (with, without) in with.radiance.iter().flatten().zip(without.radiance.iter().flatten()) {
+            assert!((with / without - 1.0).abs() < 1e-3, "{with} {without}");
+        }
     }
 
     #[test]

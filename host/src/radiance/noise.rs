@@ -1,6 +1,6 @@
 //! How much the exposure that a level stands for varies: shot noise, read noise, and the noise of levels themselves.
 
-use super::samples::Block;
+use super::samples::SIDE;
 use super::{Response, Samples};
 use crate::picture::Picture;
 
@@ -19,6 +19,9 @@ pub struct NoiseModel {
     /// Up to this level a pixel counts as too dark.
     pub dark_level: [u16; 3],
 }
+
+/// A block is looked at where its mean exposure is so many standard deviations of a pixel from black.
+const FAINT: f64 = 3.0;
 
 /// What one bin of pairs says: observed variance of relative differences, and what one unit of each term would cause.
 struct Equation {
@@ -79,16 +82,19 @@ impl Samples {
     pub fn noise(&self, response: &Response) -> NoiseModel {
         let mut noise = NoiseModel::assumed(response);
         for channel in 0..3 {
-            if let Some(limit) = saturation(&self.blocks, response, channel, noise.saturated_level[channel]) {
+            if let Some(limit) = saturation(self, response, channel, noise.saturated_level[channel]) {
                 noise.saturated_level[channel] = limit;
             }
-            let equations = equations(&self.blocks, response, channel, noise.saturated_level[channel]);
-            if equations.len() >= 8 {
-                // Rounding is certain, so it is taken out first and put back.
-                let rounding = 1.0 / 12.0;
-                let terms = fit(&equations, rounding);
-                [noise.shot[channel], noise.read[channel]] = [terms[0], terms[1]];
-                noise.level[channel] = rounding + terms[2];
+            // What is too dark to be looked at depends on the noise: once more with what was found.
+            for _ in 0..2 {
+                let equations = equations(self, response, &noise, channel);
+                if equations.len() >= 8 {
+                    // Rounding is certain, so it is taken out first and put back.
+                    let rounding = 1.0 / 12.0;
+                    let terms = fit(&equations, rounding);
+                    [noise.shot[channel], noise.read[channel]] = [terms[0], terms[1]];
+                    noise.level[channel] = rounding + terms[2];
+                }
             }
         }
         noise.set_dark_level(response);
@@ -96,34 +102,48 @@ impl Samples {
     }
 }
 
-/// Pairs of neighbouring exposures of each pixel, gathered by brightness and ratio of times.
-fn equations(blocks: &[Block], response: &Response, channel: usize, saturated: u16) -> Vec<Equation> {
+/// Pairs of neighbouring exposures of each pixel, gathered by brightness and ratio of times. A block counts where its mean
+/// says that black and saturation are out of noise's reach: chosen by its own level, a pixel would be chosen by its noise.
+fn equations(samples: &Samples, response: &Response, noise: &NoiseModel, channel: usize) -> Vec<Equation> {
     let table = response.exposure(channel);
+    let level_at = |x: f64| table.partition_point(|&entry| f64::from(entry) < x).min(table.len() - 1);
+    let saturated = f64::from(table[usize::from(noise.saturated_level[channel])]);
     let mut bins: std::collections::BTreeMap<(i32, i32), (Vec<f64>, [f64; 3])> = Default::default();
-    for block in blocks {
-        for i in 1..block.levels.len() {
-            let times = [block.exposure_s[i - 1], block.exposure_s[i]];
+    for block in samples.thinned() {
+        let exposure_s = samples.exposure_s(block);
+        let exposures: Vec<[f64; SIDE * SIDE]> = block
+            .levels
+            .iter()
+            .map(|levels| levels.map(|l| f64::from(table[usize::from(l[channel])])))
+            .collect();
+        let clear: Vec<bool> = exposures
+            .iter()
+            .map(|block| {
+                let mean = block.iter().sum::<f64>() / block.len() as f64;
+                let most = block.iter().fold(0.0f64, |most, &x| most.max(x));
+                let slope = f64::from(response.slope(channel, level_at(mean)));
+                let sigma = noise.variance(channel, mean, slope).sqrt();
+                mean > FAINT * sigma && mean + 4.0 * sigma < saturated && most < saturated
+            })
+            .collect();
+        for i in (1..block.levels.len()).filter(|&i| clear[i - 1] && clear[i]) {
+            let times = [exposure_s[i - 1], exposure_s[i]];
             let stops = (times[0] / times[1]).log2();
             if !(0.1..=4.0).contains(&stops) {
                 continue;
             }
-            for (a, b) in block.levels[i - 1].iter().zip(&block.levels[i]) {
-                let levels = [usize::from(a[channel]), usize::from(b[channel])];
-                if levels[1] == 0 || levels[0] >= usize::from(saturated) {
-                    continue;
-                }
-                let x = levels.map(|z| f64::from(table[z]));
-                let radiance = (x[0] + x[1]) / (times[0] + times[1]);
+            for (&a, &b) in exposures[i - 1].iter().zip(&exposures[i]) {
+                let radiance = (a + b) / (times[0] + times[1]);
                 let mut terms = [0.0; 3];
-                for ((&z, x), t) in levels.iter().zip(x).zip(times) {
-                    let unit = (radiance * t).powi(-2);
+                for t in times {
+                    let (x, unit) = (radiance * t, (radiance * t).powi(-2));
                     terms[0] += x * unit;
                     terms[1] += unit;
-                    terms[2] += f64::from(response.slope(channel, z)).powi(2) * unit;
+                    terms[2] += f64::from(response.slope(channel, level_at(x))).powi(2) * unit;
                 }
                 let key = ((4.0 * (radiance * times[0]).log2()) as i32, (4.0 * stops).round() as i32);
                 let (differences, sums) = bins.entry(key).or_default();
-                differences.push((x[0] / times[0] - x[1] / times[1]) / radiance);
+                differences.push((a / times[0] - b / times[1]) / radiance);
                 sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
             }
         }
@@ -173,7 +193,7 @@ fn fit(equations: &[Equation], rounding: f64) -> [f64; 3] {
 
 /// The lowest level near white at which clipped pixels are found: such a level was seen where the shorter exposures
 /// say that white was passed. `None` where nothing came near.
-fn saturation(blocks: &[Block], response: &Response, channel: usize, assumed: u16) -> Option<u16> {
+fn saturation(samples: &Samples, response: &Response, channel: usize, assumed: u16) -> Option<u16> {
     let table = response.exposure(channel);
     let white = usize::from(response.white());
     // Below three quarters of white only something other than clipping explains a contradiction.
@@ -181,14 +201,15 @@ fn saturation(blocks: &[Block], response: &Response, channel: usize, assumed: u1
     let bins = 256.min(white + 1);
     let bin_of = |z: usize| z * bins / (white + 1);
     let (mut seen, mut clipped) = (vec![0u32; bins], vec![0u32; bins]);
-    for block in blocks {
+    for block in samples.thinned() {
+        let exposure_s = samples.exposure_s(block);
         for i in 1..block.levels.len() {
             for (a, b) in block.levels[i - 1].iter().zip(&block.levels[i]) {
                 let (long, short) = (usize::from(a[channel]), usize::from(b[channel]));
                 if long < lowest || short == 0 || short >= usize::from(assumed) {
                     continue;
                 }
-                let expected = f64::from(table[short]) * block.exposure_s[i - 1] / block.exposure_s[i];
+                let expected = f64::from(table[short]) * exposure_s[i - 1] / exposure_s[i];
                 seen[bin_of(long)] += 1;
                 clipped[bin_of(long)] += u32::from(expected > 1.05 * f64::from(table[white]));
             }

@@ -2,29 +2,31 @@
 //!
 //! Debevec and Malik, "Recovering High Dynamic Range Radiance Maps from Photographs", SIGGRAPH 97, equation 3:
 //! g(level) = ln radiance + ln exposure time, solved for g and for the radiances at once. What differs here:
-//! - an observation is the mean over a block of pixels. The mean of g is linear in g, so the equation stays exact on
-//!   texture, and the noise of levels, which flattens a curve fitted to single pixels, averages out.
-//! - weights are inverse variances from the noise model instead of a hat, and large residuals count less.
-//! - smoothness is asked of the deviation from sRGB over the logarithm of the level, in which cameras' curves bend evenly.
+//! - an observation is the mean exposure of a block of pixels, not one level: noise and texture, which flatten a curve fitted
+//!   to single levels, average out before the logarithm is taken. The equation becomes linear in g at the last curve found.
+//! - weights are inverse variances from the noise model instead of a hat, taken where the block's radiance says that the level
+//!   should be, and large residuals count less.
+//! - instead of a penalty on the second derivative, a [`prior`](super::prior) of what cameras' curves look like.
 //! - the radiances are eliminated, so that the system has the size of the curve however many pixels are used.
+//! - the posterior's covariance stays with the curve.
 
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
+use super::prior::{Prior, posterior, priors};
 use super::samples::Block;
 use super::{NoiseModel, Response, Samples};
 use crate::{Error, Result};
 
 /// The curve is sought at this many levels; deeper pictures are interpolated between them.
-const KNOTS: usize = 256;
-/// Blocks beyond this number are thinned out evenly: they would take time and change nothing.
-const MOST_BLOCKS: usize = 8000;
+pub(super) const KNOTS: usize = 256;
 /// How well the model itself is thought to hold, relative; keeps single blocks from ruling.
 const MODEL_ERROR: f64 = 0.01;
-/// Standard deviation of the curve's second derivative over ln(level), from sRGB's: how much cameras differ in bend.
-const BEND: f64 = 0.3;
-/// Where ln(level + SOFTENING) turns from linear to logarithmic, in 256ths of white.
-const SOFTENING: f64 = 6.0;
+/// Where a pixel's relative variance is greater than this, black cuts off too much of its noise for an unbiased mean.
+const FAINT: f64 = 1.0 / 16.0;
+/// Times that noise and response are found from each other, and times that the curve is found in each.
+const ROUNDS: usize = 2;
+const PASSES: usize = 4;
 
 impl Samples {
     /// The camera's response, per channel, never decreasing, 1 at the middle level.
@@ -38,71 +40,157 @@ impl Samples {
                 "photograph some views with times one stop apart, or choose the response `srgb` or `linear`",
             ));
         }
-        let step = self.blocks.len().div_ceil(MOST_BLOCKS).max(1);
-        let blocks: Vec<&Block> = self.blocks.iter().step_by(step).collect();
+        let priors = priors();
         let mut response = Response::srgb(self.white);
         let mut noise = NoiseModel::assumed(&response);
-        for _ in 0..2 {
-            let tables: Vec<Vec<f32>> = (0..3usize)
+        for _ in 0..ROUNDS {
+            let curves: Vec<Curve> = (0..3usize)
                 .into_par_iter()
-                .map(|channel| recover(&blocks, self.white, channel, &response, &noise))
+                .map(|channel| self.recover(channel, &response, &noise, &priors))
                 .collect::<Result<_>>()?;
+            let (tables, covariances): (Vec<_>, Vec<_>) = curves.into_iter().unzip();
             let tables = tables.try_into().expect("three channels were asked for");
-            response = Response::from_tables(tables);
+            let covariances = covariances.try_into().expect("three channels were asked for");
+            response = Response::from_tables(tables).with_covariance(covariances);
             noise = self.noise(&response);
         }
         Ok(response)
     }
-}
 
-/// A block in one photograph: its histogram over knots (adding to 1), ln exposure time, and variance of its mean g.
-struct Row {
-    histogram: Vec<(usize, f64)>,
-    ln_time: f64,
-    weight: f64,
-}
-
-fn recover(
-    blocks: &[&Block],
-    white: u16,
-    channel: usize,
-    response: &Response,
-    noise: &NoiseModel,
-) -> Result<Vec<f32>> {
-    let relative_variance: Vec<f64> = (0..=usize::from(white))
-        .map(|level| noise.relative_variance(response, channel, level).min(1e6))
-        .collect();
-    let groups: Vec<Vec<Row>> = blocks
-        .iter()
-        .map(|block| rows(block, white, channel, &relative_variance, noise.saturated_level[channel]))
-        .filter(|rows| rows.len() >= 2 && rows[0].ln_time - rows[rows.len() - 1].ln_time > 0.05)
-        .collect();
-    if groups.is_empty() {
-        return Err(Error::request(
-            format!(
-                "the response cannot be recovered: no part of the photographs is well exposed twice in channel {channel}"
-            ),
-            "take exposures at most two stops apart, or choose the response `srgb` or `linear`",
-        ));
-    }
-    let baseline: Vec<f64> = knot_levels().map(baseline_at).collect();
-    let mut g = baseline.clone();
-    // Residuals of the baseline say nothing about outliers: the first pass trusts every row.
-    for pass in 0..5 {
-        let (mut matrix, mut right) = smoothness(&baseline);
-        for rows in &groups {
-            add_group(rows, (pass > 0).then_some(&g), &mut matrix, &mut right);
+    fn recover(
+        &self,
+        channel: usize,
+        response: &Response,
+        noise: &NoiseModel,
+        priors: &[Prior],
+    ) -> Result<Curve> {
+        let camera = Camera::new(response, noise, channel);
+        let groups = self.gather(response.exposure(channel), &camera);
+        if groups.is_empty() {
+            return Err(Error::request(
+                format!(
+                    "the response cannot be recovered: no part of the photographs is well exposed twice in channel {channel}"
+                ),
+                "take exposures at most two stops apart, or choose the response `srgb` or `linear`",
+            ));
         }
-        g = solve_monotone(&matrix, &right);
+        let baseline = DVector::from_iterator(KNOTS, knot_levels().map(baseline_at));
+        let mut g = baseline.clone();
+        let mut precision = DMatrix::zeros(KNOTS, KNOTS);
+        let mut mean = DVector::zeros(KNOTS);
+        for pass in 0..PASSES {
+            let (mut matrix, mut right) = (DMatrix::zeros(KNOTS, KNOTS), DVector::zeros(KNOTS));
+            mean.fill(0.0);
+            for rows in &groups {
+                // Residuals of the baseline say nothing about outliers: the first pass trusts every row.
+                if let Some(group) = Group::new(rows, &g, &camera, pass > 0) {
+                    group.add(&g, &mut matrix, &mut right, &mut mean);
+                }
+            }
+            let right = right - &matrix * &baseline;
+            // The prior alone is positive definite, so there is always one; without any the baseline stays.
+            let Some(found) = posterior(priors, &matrix, &right) else { break };
+            g = monotone(&found.precision, &baseline + found.deviation);
+            precision = found.precision;
+        }
+        let white = response.white();
+        let table =
+            (0..=usize::from(white)).map(|level| interpolate(g.as_slice(), level, white).exp() as f32);
+        Ok((table.collect(), covariance(precision, &mean)))
     }
-    Ok((0..=usize::from(white)).map(|level| interpolate(&g, level, white).exp() as f32).collect())
+}
+
+/// How many blocks are looked at as one. A curve that is fitted to noisy levels is drawn towards the levels that are frequent;
+/// so many pixels together have little noise even where it is dark.
+const TOGETHER: usize = 16;
+
+impl Samples {
+    /// Blocks about equally bright that are well exposed at the same times, [`TOGETHER`] at a time: the mean over all their
+    /// pixels obeys the same equation as each pixel does.
+    fn gather(&self, table: &[f32], camera: &Camera) -> Vec<Vec<Row>> {
+        let mut blocks: Vec<(Vec<u64>, f64, Vec<Row>)> = self
+            .thinned()
+            .map(|block| rows(block, self.exposure_s(block), camera))
+            .filter(|rows| rows.len() >= 2 && rows[0].ln_time - rows[rows.len() - 1].ln_time > 0.05)
+            .map(|rows| {
+                let times = rows.iter().map(|row| row.ln_time.to_bits()).collect();
+                // The longest exposure has the least noise: order by it favours no level.
+                let exposure = |knot: usize| f64::from(table[knot * usize::from(camera.white) / (KNOTS - 1)]);
+                let brightness =
+                    rows[0].histogram.iter().map(|&(knot, share)| share * exposure(knot)).sum::<f64>();
+                (times, brightness.ln() - rows[0].ln_time, rows)
+            })
+            .collect();
+        blocks.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        blocks
+            .chunk_by(|a, b| a.0 == b.0)
+            .flat_map(|alike| alike.chunks(TOGETHER))
+            .map(|chunk| {
+                (0..chunk[0].2.len()).map(|i| mean_row(chunk.iter().map(|(_, _, rows)| &rows[i]))).collect()
+            })
+            .collect()
+    }
+}
+
+/// One row for the pixels of several.
+fn mean_row<'a>(rows: impl Iterator<Item = &'a Row>) -> Row {
+    let mut sum = Row { photograph: 0, pixels: 0.0, histogram: vec![], ln_time: 0.0 };
+    let mut shares = [0.0; KNOTS];
+    for row in rows {
+        row.histogram.iter().for_each(|&(knot, share)| shares[knot] += share * row.pixels);
+        sum.pixels += row.pixels;
+        sum.ln_time = row.ln_time;
+    }
+    let pixels = sum.pixels;
+    sum.histogram = (0..KNOTS).filter(|&k| shares[k] > 0.0).map(|k| (k, shares[k] / pixels)).collect();
+    sum
+}
+
+/// Exposure per level, and the covariance of its logarithm at the knots.
+type Curve = (Vec<f32>, DMatrix<f64>);
+
+/// What is known of one channel before the curve is found again.
+pub(super) struct Camera {
+    channel: usize,
+    white: u16,
+    saturated_level: u16,
+    /// Per knot, the variance of a pixel's exposure relative to its square.
+    relative_variance: Vec<f64>,
+    dark_knot: usize,
+    saturated_knot: usize,
+}
+
+impl Camera {
+    pub fn new(response: &Response, noise: &NoiseModel, channel: usize) -> Self {
+        let white = response.white();
+        let level_of = |knot: usize| knot * usize::from(white) / (KNOTS - 1);
+        let knot = |level: u16| knot_of(usize::from(level), white).0;
+        Self {
+            channel,
+            white,
+            saturated_level: noise.saturated_level[channel],
+            relative_variance: (0..KNOTS)
+                .map(|k| noise.relative_variance(response, channel, level_of(k)).min(1e6))
+                .collect(),
+            dark_knot: knot(noise.dark_level[channel]),
+            saturated_knot: knot(noise.saturated_level[channel]),
+        }
+    }
+}
+
+/// A block in one photograph: its histogram over knots (adding to 1) and ln exposure time.
+pub(super) struct Row {
+    pub photograph: usize,
+    pub pixels: f64,
+    pub histogram: Vec<(usize, f64)>,
+    pub ln_time: f64,
 }
 
 /// Rows of the photographs in which the whole block lies between black and saturation.
-fn rows(block: &Block, white: u16, channel: usize, relative_variance: &[f64], saturated: u16) -> Vec<Row> {
+pub(super) fn rows(block: &Block, exposure_s: &[f64], camera: &Camera) -> Vec<Row> {
     let mut rows = Vec::new();
-    for (levels, &time_s) in block.levels.iter().zip(&block.exposure_s) {
-        if levels.iter().any(|l| l[channel] == 0 || l[channel] >= saturated) {
+    for (photograph, (levels, &time_s)) in block.levels.iter().zip(exposure_s).enumerate() {
+        if levels.iter().any(|l| l[camera.channel] == 0 || l[camera.channel] >= camera.saturated_level) {
             continue;
         }
         let share = 1.0 / levels.len() as f64;
@@ -112,95 +200,134 @@ fn rows(block: &Block, white: u16, channel: usize, relative_variance: &[f64], sa
             Some((_, sum)) => *sum += weight,
             None => histogram.push((knot, weight)),
         };
-        let mut variance = MODEL_ERROR.powi(2);
-        for level in levels.map(|l| usize::from(l[channel])) {
-            let (knot, part) = knot_of(level, white);
+        for level in levels.map(|l| usize::from(l[camera.channel])) {
+            let (knot, part) = knot_of(level, camera.white);
             add(knot, share * (1.0 - part));
             add((knot + 1).min(KNOTS - 1), share * part);
-            variance += relative_variance[level] * share * share;
         }
-        rows.push(Row { histogram, ln_time: time_s.ln(), weight: 1.0 / variance });
+        rows.push(Row { photograph, pixels: levels.len() as f64, histogram, ln_time: time_s.ln() });
     }
     rows
 }
 
-/// Adds a block's rows to the normal equations with its ln radiance eliminated; where a curve is known already, rows
-/// count less the more they contradict it (Cauchy's weights).
-fn add_group(rows: &[Row], g: Option<&Vec<f64>>, matrix: &mut DMatrix<f64>, right: &mut DVector<f64>) {
-    let mut weights: Vec<f64> = rows.iter().map(|row| row.weight).collect();
-    if let Some(g) = g {
-        let says: Vec<f64> = rows
+/// A block in all its photographs, about the last curve found.
+pub(super) struct Group<'a> {
+    pub rows: &'a [Row],
+    /// Per row: ln of the mean exposure, as the curve has it.
+    pub ln_exposure: Vec<f64>,
+    pub weights: Vec<f64>,
+}
+
+impl<'a> Group<'a> {
+    /// `None` where fewer than two photographs count. Where the curve is `known`, rows count less the more they contradict
+    /// it (Cauchy's weights), and not at all where noise may have taken their level into black or saturation.
+    pub fn new(rows: &'a [Row], g: &DVector<f64>, camera: &Camera, known: bool) -> Option<Self> {
+        let ln_exposure: Vec<f64> = rows
             .iter()
-            .map(|row| row.histogram.iter().map(|&(k, share)| share * g[k]).sum::<f64>() - row.ln_time)
+            .map(|row| row.histogram.iter().map(|&(k, share)| share * g[k].exp()).sum::<f64>().ln())
             .collect();
-        for _ in 0..3 {
-            let total: f64 = weights.iter().sum();
-            let mean = weights.iter().zip(&says).map(|(w, s)| w * s).sum::<f64>() / total;
-            for ((weight, row), s) in weights.iter_mut().zip(rows).zip(&says) {
-                *weight = row.weight / (1.0 + (s - mean).powi(2) * row.weight / 4.0);
+        let mean = |weights: &[f64]| {
+            let sum: f64 =
+                rows.iter().zip(&ln_exposure).zip(weights).map(|((r, x), w)| w * (x - r.ln_time)).sum();
+            sum / weights.iter().sum::<f64>()
+        };
+        let knot_at = |ln_exposure: f64| g.as_slice().partition_point(|&x| x < ln_exposure).min(KNOTS - 1);
+        let pixels = rows[0].pixels;
+        let weight = |knot: usize| 1.0 / (MODEL_ERROR.powi(2) + camera.relative_variance[knot] / pixels);
+        let mut weights: Vec<f64> = ln_exposure.iter().map(|&x| weight(knot_at(x))).collect();
+        for _ in 0..if known { 3 } else { 1 } {
+            let ln_radiance = mean(&weights);
+            for ((new, row), x) in weights.iter_mut().zip(rows).zip(&ln_exposure) {
+                let expected = ln_radiance + row.ln_time;
+                let knot = knot_at(expected);
+                *new = weight(knot);
+                if known {
+                    let margin = 3.0 * camera.relative_variance[knot].sqrt();
+                    *new /= 1.0 + (x - expected).powi(2) * *new / 4.0;
+                    let faint = camera.relative_variance[knot] > FAINT || knot <= camera.dark_knot;
+                    if faint || expected + margin > g[camera.saturated_knot] {
+                        *new = 0.0;
+                    }
+                }
+            }
+            if weights.iter().filter(|&&w| w > 0.0).count() < 2 {
+                return None;
             }
         }
+        Some(Self { rows, ln_exposure, weights })
     }
-    let total: f64 = weights.iter().sum();
-    let mean_time = weights.iter().zip(rows).map(|(w, row)| w * row.ln_time).sum::<f64>() / total;
-    let mut mean: Vec<(usize, f64)> = Vec::new();
-    for (row, &weight) in rows.iter().zip(&weights) {
-        for &(i, share_i) in &row.histogram {
-            right[i] += weight * share_i * (row.ln_time - mean_time);
-            for &(k, share_k) in &row.histogram {
-                matrix[(i, k)] += weight * share_i * share_k;
+
+    /// Adds its rows to the normal equations for g with its ln radiance eliminated; to `mean`, how its ln radiance depends
+    /// on g.
+    fn add(
+        &self,
+        g: &DVector<f64>,
+        matrix: &mut DMatrix<f64>,
+        right: &mut DVector<f64>,
+        mean: &mut DVector<f64>,
+    ) {
+        let total: f64 = self.weights.iter().sum();
+        // Each row linear in g: sum of p(k) g(k) = ln radiance + target.
+        let mut targets = Vec::with_capacity(self.rows.len());
+        let mut parts: Vec<Vec<(usize, f64)>> = Vec::with_capacity(self.rows.len());
+        for (row, ln_exposure) in self.rows.iter().zip(&self.ln_exposure) {
+            let part: Vec<(usize, f64)> =
+                row.histogram.iter().map(|&(k, share)| (k, share * (g[k] - ln_exposure).exp())).collect();
+            targets.push(row.ln_time - ln_exposure + part.iter().map(|&(k, p)| p * g[k]).sum::<f64>());
+            parts.push(part);
+        }
+        let mean_target = self.weights.iter().zip(&targets).map(|(w, t)| w * t).sum::<f64>() / total;
+        let mut all: Vec<(usize, f64)> = Vec::new();
+        for ((part, &weight), target) in parts.iter().zip(&self.weights).zip(&targets) {
+            for &(i, p) in part {
+                right[i] += weight * p * (target - mean_target);
+                for &(k, q) in part {
+                    matrix[(i, k)] += weight * p * q;
+                }
+                all.push((i, weight * p));
             }
-            mean.push((i, weight * share_i));
         }
-    }
-    mean.sort_unstable_by_key(|&(i, _)| i);
-    mean.dedup_by(|next, kept| {
-        let same = next.0 == kept.0;
-        if same {
-            kept.1 += next.1;
-        }
-        same
-    });
-    for &(i, a) in &mean {
-        for &(k, b) in &mean {
-            matrix[(i, k)] -= a * b / total;
+        all.sort_unstable_by_key(|&(i, _)| i);
+        all.dedup_by(|next, kept| {
+            let same = next.0 == kept.0;
+            if same {
+                kept.1 += next.1;
+            }
+            same
+        });
+        for &(i, a) in &all {
+            mean[i] += a / total;
+            for &(k, b) in &all {
+                matrix[(i, k)] -= a * b / total;
+            }
         }
     }
 }
 
-/// The penalty on bend, the integral of the squared second derivative over ln(level + SOFTENING), of the deviation
-/// from the baseline; and the middle level pinned, which the photographs leave free.
-fn smoothness(baseline: &[f64]) -> (DMatrix<f64>, DVector<f64>) {
-    let mut matrix = DMatrix::<f64>::zeros(KNOTS, KNOTS);
-    let at: Vec<f64> = knot_levels().map(|level| (level * 255.0 + SOFTENING).ln()).collect();
-    for k in 1..KNOTS - 1 {
-        let (before, after) = (at[k] - at[k - 1], at[k + 1] - at[k]);
-        let width = (before + after) / 2.0;
-        let bend = [1.0 / before, -1.0 / before - 1.0 / after, 1.0 / after].map(|b| b / width);
-        for (i, a) in bend.iter().enumerate() {
-            for (j, b) in bend.iter().enumerate() {
-                matrix[(k - 1 + i, k - 1 + j)] += a * b * width / (BEND * BEND);
-            }
-        }
-    }
-    let mut right: DVector<f64> = &matrix * DVector::from_column_slice(baseline);
-    matrix[(KNOTS / 2, KNOTS / 2)] += 1.0;
-    right[KNOTS / 2] += baseline[KNOTS / 2];
-    (matrix, right)
+/// The covariance of g less its mean over the radiances from which it was learnt: the factor common to all of them is
+/// nothing but the unit.
+fn covariance(precision: DMatrix<f64>, mean: &DVector<f64>) -> DMatrix<f64> {
+    let covariance = match precision.cholesky() {
+        Some(factor) => factor.inverse(),
+        None => return DMatrix::zeros(KNOTS, KNOTS),
+    };
+    let mean = mean / mean.sum().max(f64::MIN_POSITIVE);
+    let with_mean = &covariance * &mean;
+    let of_mean = mean.dot(&with_mean);
+    DMatrix::from_fn(KNOTS, KNOTS, |i, k| covariance[(i, k)] - with_mean[i] - with_mean[k] + of_mean)
 }
 
 /// The curve of least cost that grows everywhere: steps that fall are fastened, one set after the other.
-fn solve_monotone(matrix: &DMatrix<f64>, right: &DVector<f64>) -> Vec<f64> {
+fn monotone(precision: &DMatrix<f64>, free: DVector<f64>) -> DVector<f64> {
     // The least growth per knot: a curve that is flat would give a level no exposure of its own.
     const LEAST: f64 = 1e-4;
-    let firm = matrix.diagonal().max() * 1e3;
-    let (mut held, mut right) = (matrix.clone(), right.clone());
+    let firm = precision.diagonal().max() * 1e3;
+    let (mut held, mut right) = (precision.clone(), precision * &free);
+    let mut g = free;
     for _ in 0..KNOTS {
-        let Some(factor) = held.clone().cholesky() else { break };
-        let g = factor.solve(&right);
         let falling: Vec<usize> = (1..KNOTS).filter(|&k| g[k] - g[k - 1] < LEAST / 2.0).collect();
         if falling.is_empty() {
-            return g.iter().copied().collect();
+            return g;
         }
         for k in falling {
             held[(k, k)] += firm;
@@ -210,13 +337,16 @@ fn solve_monotone(matrix: &DMatrix<f64>, right: &DVector<f64>) -> Vec<f64> {
             right[k] += firm * LEAST;
             right[k - 1] -= firm * LEAST;
         }
+        let Some(factor) = held.clone().cholesky() else { break };
+        g = factor.solve(&right);
     }
-    // Not reached for finite weights: the penalty alone makes the matrix positive definite, and each round fastens a
+    // Not reached for finite weights: the prior alone makes the matrix positive definite, and each round fastens a
     // new step. The baseline grows.
-    knot_levels().map(baseline_at).collect()
+    DVector::from_iterator(KNOTS, knot_levels().map(baseline_at))
 }
 
-fn knot_levels() -> impl Iterator<Item = f64> {
+/// The knots' levels, 0 to 1.
+pub(super) fn knot_levels() -> impl Iterator<Item = f64> {
     (0..KNOTS).map(|k| k as f64 / (KNOTS - 1) as f64)
 }
 
@@ -226,7 +356,8 @@ fn baseline_at(level: f64) -> f64 {
     if level <= 0.04045 { (level / 12.92).ln() } else { 2.4 * ((level + 0.055) / 1.055).ln() }
 }
 
-fn knot_of(level: usize, white: u16) -> (usize, f64) {
+/// The knot at or below a level, and how far the level lies towards the next.
+pub(super) fn knot_of(level: usize, white: u16) -> (usize, f64) {
     let at = level as f64 * (KNOTS - 1) as f64 / f64::from(white);
     (at as usize, at.fract())
 }

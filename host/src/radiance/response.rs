@@ -3,7 +3,9 @@
 use std::path::Path;
 
 use half::f16;
+use nalgebra::DMatrix;
 
+use super::recover::{KNOTS, knot_of};
 use crate::picture::Picture;
 use crate::{Error, Result, file};
 
@@ -12,6 +14,9 @@ use crate::{Error, Result, file};
 #[derive(Debug, Clone, PartialEq)]
 pub struct Response {
     exposure: [Vec<f32>; 3],
+    /// Of ln exposure at the knots of the recovery, less its mean over what it was learnt from: that factor is nothing but the
+    /// unit. `None` where the response was given.
+    covariance: Option<[DMatrix<f64>; 3]>,
 }
 
 impl Response {
@@ -21,7 +26,32 @@ impl Response {
             let middle = table[middle_level(table.len())];
             table.iter_mut().for_each(|x| *x /= middle);
         }
-        Self { exposure }
+        Self { exposure, covariance: None }
+    }
+
+    /// The same, recovered with this doubt.
+    pub(super) fn with_covariance(self, covariance: [DMatrix<f64>; 3]) -> Self {
+        Self { covariance: Some(covariance), ..self }
+    }
+
+    /// The covariance of ln exposure at the knots; `None` where the response was given.
+    pub(super) fn covariance(&self, channel: usize) -> Option<&DMatrix<f64>> {
+        self.covariance.as_ref().map(|covariance| &covariance[channel])
+    }
+
+    /// Variance of a weighted mean of ln exposures, relative to what is common to all radiances; 0 where the response was
+    /// given. `parts`: exposures in the table's unit, each with its weight.
+    pub(super) fn variance_of(&self, channel: usize, parts: &[(f32, f64)]) -> f64 {
+        let Some(covariance) = self.covariance(channel) else { return 0.0 };
+        let table = &self.exposure[channel];
+        let mut shares: Vec<(usize, f64)> = Vec::with_capacity(2 * parts.len());
+        for &(exposure, weight) in parts {
+            let above = table.partition_point(|&x| x < exposure).clamp(1, table.len() - 1);
+            let (knot, part) = knot_of(above, self.white());
+            shares.extend([(knot, weight * (1.0 - part)), ((knot + 1).min(KNOTS - 1), weight * part)]);
+        }
+        let row = |i: usize, a: f64| shares.iter().map(|&(k, b)| a * b * covariance[(i, k)]).sum::<f64>();
+        shares.iter().map(|&(i, a)| row(i, a)).sum::<f64>().max(0.0)
     }
 
     /// What cameras write that follow the standard (IEC 61966-2-1), for photographs without a bracket to learn from.
@@ -35,7 +65,7 @@ impl Response {
         if white == Picture::FLOAT_WHITE {
             // The numbers keep their unit: no scaling to a middle.
             let table: Vec<f32> = (0..=white).map(|bits| f16::from_bits(bits).to_f32()).collect();
-            return Self { exposure: [table.clone(), table.clone(), table] };
+            return Self { exposure: [table.clone(), table.clone(), table], covariance: None };
         }
         Self::from_curve(white, |v| v)
     }
@@ -113,7 +143,7 @@ impl Response {
         if exposure.iter().any(|table| table[middle_level(levels)] <= 0.0) {
             return Err(Error::input(path, "its middle level stands for no exposure at all", remedy));
         }
-        Ok(Self { exposure })
+        Ok(Self { exposure, covariance: None })
     }
 }
 

@@ -1,14 +1,18 @@
 //! The few pixels of every stack from which the response and the noise are learnt.
 
+use std::path::{Path, PathBuf};
+
 use super::Stack;
 use crate::{Error, Result};
 
 /// Side of a sampled block, pixels: half of a JPEG block, so that it never lies across the seam of two.
-const SIDE: usize = 4;
+pub(super) const SIDE: usize = 4;
 /// How many kinds of brightness a stack's blocks are spread over.
 const BINS: usize = 32;
 /// How many blocks of each brightness a stack gives.
-const PER_BIN: usize = 20;
+const PER_BIN: usize = 60;
+/// Blocks beyond this number are thinned out evenly: they would take time and change nothing.
+const MOST_BLOCKS: usize = 8000;
 
 /// Blocks of pixels from the stacks of a session, enough to learn from and small beside the photographs themselves:
 /// stacks can be loaded and given one after the other.
@@ -18,16 +22,26 @@ const PER_BIN: usize = 20;
 #[derive(Debug, Clone, Default)]
 pub struct Samples {
     pub(super) blocks: Vec<Block>,
+    /// The stacks from which they are.
+    pub(super) stacks: Vec<Bracket>,
     /// The highest level of the photographs; 0 before the first stack.
     pub(super) white: u16,
     /// Whether a stack's exposure times differed; without that nothing can be learnt.
     pub(super) bracketed: bool,
 }
 
+/// The photographs of a stack, the longest exposure first.
+#[derive(Debug, Clone)]
+pub(super) struct Bracket {
+    pub(super) paths: Vec<PathBuf>,
+    pub(super) exposure_s: Vec<f64>,
+}
+
 /// One block in every photograph of its stack, the longest exposure first.
 #[derive(Debug, Clone)]
 pub(super) struct Block {
-    pub(super) exposure_s: Vec<f64>,
+    /// Index of its stack.
+    pub(super) stack: usize,
     pub(super) levels: Vec<[[u16; 3]; SIDE * SIDE]>,
 }
 
@@ -43,20 +57,11 @@ impl Samples {
     /// # Errors
     /// [`Error::Input`] where its photographs have another depth than the first stack's.
     pub fn add(&mut self, stack: &Stack) -> Result<()> {
-        if self.white == 0 {
-            self.white = stack.white();
-        }
-        if self.white != stack.white() {
-            let what =
-                format!("its levels go to {}, those of the views before to {}", stack.white(), self.white);
-            let remedy = "give the photographs of one camera setting, or recover each setting by itself";
-            return Err(Error::input(&stack.pictures[0].path, what, remedy));
-        }
+        self.admit(stack.white(), &stack.pictures[0].path)?;
         if stack.pictures.len() < 2 {
             return Ok(());
         }
-        let mut order: Vec<usize> = (0..stack.pictures.len()).collect();
-        order.sort_by(|&a, &b| stack.exposure_s[b].total_cmp(&stack.exposure_s[a]));
+        let order = stack.longest_first();
         let exposure_s: Vec<f64> = order.iter().map(|&i| stack.exposure_s[i]).collect();
         self.bracketed |= exposure_s[0] > exposure_s[exposure_s.len() - 1];
 
@@ -77,10 +82,50 @@ impl Samples {
             let step = bin.len().div_ceil(PER_BIN).max(1);
             for candidate in bin.iter().step_by(step) {
                 let levels = order.iter().map(|&i| block(stack, i, candidate.corner)).collect();
-                self.blocks.push(Block { exposure_s: exposure_s.clone(), levels });
+                self.blocks.push(Block { stack: self.stacks.len(), levels });
             }
         }
+        let paths = order.iter().map(|&i| stack.pictures[i].path.clone()).collect();
+        self.stacks.push(Bracket { paths, exposure_s });
         Ok(())
+    }
+
+    /// Takes what another has gathered.
+    ///
+    /// # Errors
+    /// [`Error::Input`] where its photographs have another depth.
+    pub fn append(&mut self, other: Self) -> Result<()> {
+        if let Some(bracket) = other.stacks.first() {
+            self.admit(other.white, &bracket.paths[0])?;
+        }
+        let before = self.stacks.len();
+        self.bracketed |= other.bracketed;
+        self.stacks.extend(other.stacks);
+        self.blocks
+            .extend(other.blocks.into_iter().map(|block| Block { stack: before + block.stack, ..block }));
+        Ok(())
+    }
+
+    fn admit(&mut self, white: u16, path: &Path) -> Result<()> {
+        if self.white == 0 {
+            self.white = white;
+        }
+        if self.white == white {
+            return Ok(());
+        }
+        let what = format!("its levels go to {white}, those of the views before to {}", self.white);
+        let remedy = "give the photographs of one camera setting, or recover each setting by itself";
+        Err(Error::input(path, what, remedy))
+    }
+
+    /// As many blocks as are worth looking at.
+    pub(super) fn thinned(&self) -> impl Iterator<Item = &Block> {
+        self.blocks.iter().step_by(self.blocks.len().div_ceil(MOST_BLOCKS).max(1))
+    }
+
+    /// The exposure times of a block's photographs.
+    pub(super) fn exposure_s(&self, block: &Block) -> &[f64] {
+        &self.stacks[block.stack].exposure_s
     }
 }
 

@@ -48,6 +48,13 @@ impl Stack {
         Ok(Self { pictures, exposure_s })
     }
 
+    /// The photographs' indices, the longest exposure first.
+    pub(super) fn longest_first(&self) -> Vec<usize> {
+        let mut order: Vec<usize> = (0..self.pictures.len()).collect();
+        order.sort_by(|&a, &b| self.exposure_s[b].total_cmp(&self.exposure_s[a]));
+        order
+    }
+
     /// The highest level of its photographs.
     pub fn white(&self) -> u16 {
         self.pictures[0].white

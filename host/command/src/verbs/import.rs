@@ -3,13 +3,13 @@
 use std::path::PathBuf;
 
 use rigel::Result;
-use rigel::measure::{ResponseChoice, measure};
+use rigel::measure::{Options as MeasureOptions, ResponseChoice, Times, measure_with};
 use rigel::observation::{self, observe as build};
 use rigel::session::Session;
 use rigel::session::import::{Options, Source, import as run};
 use rigel::view_file::Calibration;
 
-use crate::arguments::{Import, Observe, Radiance};
+use crate::arguments::{ExposureTimes, Import, Observe, Radiance};
 use crate::progress::Bar;
 use crate::say::say;
 use crate::verbs::require_extension;
@@ -61,8 +61,24 @@ pub fn radiance(arguments: &Radiance) -> Result<()> {
         "linear" => ResponseChoice::Linear,
         path => ResponseChoice::File(PathBuf::from(path)),
     };
-    let measured =
-        measure(&session, &choice, &Bar::new("radiance")).map_err(|error| error.about(session.folder()))?;
+    let times = match arguments.exposure_times {
+        ExposureTimes::Stated => Times::Stated,
+        ExposureTimes::Measured => Times::Measured,
+    };
+    let options = MeasureOptions { response: choice, times };
+    let measured = measure_with(&session, &options, &Bar::new("radiance"))
+        .map_err(|error| error.about(session.folder()))?;
+    for time in &measured.corrected {
+        say!(
+            "note: {} was exposed for {:.4} s by its pixels, not for {:.4} s",
+            time.path.display(),
+            time.measured_s,
+            time.stated_s
+        );
+    }
+    if measured.moved > 0.0 {
+        say!("note: something moved in {:.3} % of the new pixels", 100.0 * measured.moved);
+    }
     if let Some(residual) = measured.vignetting_residual {
         say!("vignetting: flat fields agree with the model within {:.2} %", 100.0 * residual);
     }

@@ -23,6 +23,7 @@ fn session(rng: &mut StdRng, step_s: f64) -> (Vec<Exposure>, Vec<CameraFile>) {
             let exif = Exif {
                 exposure_s: Some(exposure_s * 2f64.powf(rng.random_range(-0.3..0.3))),
                 taken: Some(CameraTime { clock_s, step_s }),
+                ..Exif::default()
             };
             let path = format!("dsc{view:02}_{index}.jpg").into();
             files.push(CameraFile { path, exif, sha256: content(rng) });

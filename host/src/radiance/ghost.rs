@@ -1,0 +1,181 @@
+//! What moved while a stack was photographed.
+//!
+//! Single pixels beyond noise are found everywhere, for noise has tails; many of them side by side are not noise.
+//! (What others do: Tursun et al., "The State of the Art in HDR Deghosting", Eurographics 2015.)
+
+use std::collections::HashSet;
+
+use super::weights::{Channel, Says, TOLERANCE};
+use super::{Mask, RadianceImage};
+
+/// While a picture is merged: the photographs of this pixel differ by more than noise.
+pub(super) const ODD: Mask = 128;
+/// An odd pixel is a ghost where at least so many pixels are odd within so far of it, itself included: the corner of a
+/// square that moved has nine.
+const REACH: usize = 2;
+const LEAST: usize = 8;
+/// A pixel that is not odd is a ghost where so many of its eight neighbours are: by chance it looks alike before and after.
+const SURROUNDED: usize = 5;
+/// How many standard deviations two photographs may differ by and still agree.
+const AGREE: f32 = 3.0;
+
+/// Turns the pixels marked [`ODD`] into ghosts or forgives them. `pictures` and `channels`: the longest exposure first.
+pub(super) fn settle(image: &mut RadianceImage, pictures: &[&[[u16; 3]]], channels: &[Channel; 3]) {
+    let (width, height) = (image.width as usize, image.height as usize);
+    let odd: Vec<usize> = (0..image.mask.len()).filter(|&i| image.mask[i] & ODD != 0).collect();
+    let around = |i: usize, reach: usize| {
+        let (x, y) = (i % width, i / width);
+        let columns = x.saturating_sub(reach)..(x + reach + 1).min(width);
+        (y.saturating_sub(reach)..(y + reach + 1).min(height))
+            .flat_map(move |row| columns.clone().map(move |column| row * width + column))
+    };
+    let mask = &image.mask;
+    let is_ghost = |&i: &usize| around(i, REACH).filter(|&k| mask[k] & ODD != 0).count() >= LEAST;
+    let mut ghosts: HashSet<usize> = odd.iter().copied().filter(is_ghost).collect();
+    let beside: HashSet<usize> =
+        ghosts.iter().flat_map(|&i| around(i, 1)).filter(|i| !ghosts.contains(i)).collect();
+    let surrounded = |&i: &usize| around(i, 1).filter(|k| ghosts.contains(k)).count() >= SURROUNDED;
+    let inside: Vec<usize> = beside.into_iter().filter(surrounded).collect();
+    ghosts.extend(inside);
+    odd.iter().for_each(|&i| image.mask[i] &= !ODD);
+    for i in ghosts {
+        let levels: Vec<[u16; 3]> = pictures.iter().map(|picture| picture[i]).collect();
+        let (agreeing, most) = majority(&levels, channels);
+        image.mask[i] = RadianceImage::GHOST;
+        for c in 0..3 {
+            let measured = channels[c].careful(agreeing.iter().copied(), |j| levels[j][c]);
+            image.mask[i] |= measured.flags;
+            image.radiance[i][c] = measured.radiance;
+            image.variance[i][c] = if most { measured.variance } else { f32::INFINITY };
+        }
+    }
+}
+
+/// The largest set of photographs that agree with one of them, and whether they are most of those that measure the pixel.
+fn majority(levels: &[[u16; 3]], channels: &[Channel; 3]) -> (Vec<usize>, bool) {
+    let says: Vec<[Says; 3]> = levels
+        .iter()
+        .enumerate()
+        .map(|(j, level)| [0, 1, 2].map(|c| channels[c].says(j, level[c])))
+        .collect();
+    let measures = |j: &usize| says[*j].iter().any(|s| matches!(s, Says::Value(..)));
+    let agreeing = |a: usize| -> Vec<usize> {
+        (0..says.len()).filter(|&b| (0..3).all(|c| agree(says[a][c], says[b][c]))).collect()
+    };
+    let count = |set: &[usize]| set.iter().filter(|j| measures(j)).count();
+    // Of sets of one size that of the longest exposure, which has the least noise.
+    let best =
+        (0..says.len()).filter(measures).map(agreeing).rev().max_by_key(|set| count(set)).unwrap_or_default();
+    let (agree, all) = (count(&best), (0..says.len()).filter(measures).count());
+    (best, agree >= 2 && 2 * agree > all)
+}
+
+fn agree(a: Says, b: Says) -> bool {
+    let slack = |value: f32, variance: f32| AGREE * variance.sqrt() + TOLERANCE as f32 * value;
+    match (a, b) {
+        (Says::Value(a, va), Says::Value(b, vb)) => (a - b).abs() <= slack(a.min(b), va + vb),
+        (Says::Value(value, variance), Says::AtLeast(bound))
+        | (Says::AtLeast(bound), Says::Value(value, variance)) => value + slack(value, variance) >= bound,
+        (Says::Value(value, variance), Says::AtMost(bound))
+        | (Says::AtMost(bound), Says::Value(value, variance)) => value - slack(value, variance) <= bound,
+        (Says::AtLeast(least), Says::AtMost(most)) | (Says::AtMost(most), Says::AtLeast(least)) => {
+            least <= most
+        }
+        _ => true,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::simulated::{self, CURVES};
+    use super::super::{NoiseModel, Response, Samples, Stack, merge};
+    use super::*;
+
+    const WIDTH: usize = 256;
+    const TIMES: [f64; 5] = [4.0, 2.0, 1.0, 0.5, 0.25];
+
+    fn learnt(stack: &Stack) -> (Response, NoiseModel) {
+        let mut samples = Samples::default();
+        samples.add(stack).unwrap();
+        let response = samples.response().unwrap();
+        let noise = samples.noise(&response);
+        (response, noise)
+    }
+
+    fn part(mask: &[Mask]) -> f64 {
+        mask.iter().filter(|&&m| m & RadianceImage::GHOST != 0).count() as f64 / mask.len() as f64
+    }
+
+    #[test]
+    fn noise_alone_is_no_ghost() {
+        for (seed, (_, curve)) in CURVES.iter().enumerate() {
+            for times in [&TIMES[..], &[8.0, 1.0, 0.125]] {
+                let scene = simulated::scene(WIDTH, 192, seed as u64);
+                let stack = simulated::shoot(&scene, WIDTH, times, *curve, 1.0, 7);
+                let (response, noise) = learnt(&stack);
+                let part = part(&merge(&stack, &response, &noise).unwrap().mask);
+                assert!(part < 1e-3, "{part}");
+            }
+        }
+    }
+
+    /// A square of side 24 that is `factor` times as bright as what it hides, in one photograph.
+    fn with_a_patch(stack: &Stack, other: &Stack, photograph: usize) -> (Stack, Vec<usize>) {
+        let inside: Vec<usize> = (0..24 * 24).map(|i| (80 + i / 24) * WIDTH + 100 + i % 24).collect();
+        let mut moved = stack.clone();
+        for &i in &inside {
+            moved.pictures[photograph].levels[i] = other.pictures[photograph].levels[i];
+        }
+        (moved, inside)
+    }
+
+    #[test]
+    fn a_patch_that_moved_is_found_and_the_others_measure_what_is_behind_it() {
+        let (_, curve) = CURVES[0];
+        let scene = vec![[0.06; 3]; WIDTH * 192];
+        let bright: Vec<[f64; 3]> = scene.iter().map(|rgb| rgb.map(|r| 1.4 * r)).collect();
+        let still = simulated::shoot(&scene, WIDTH, &TIMES, curve, 1.0, 3);
+        let other = simulated::shoot(&bright, WIDTH, &TIMES, curve, 1.0, 4);
+        let (response, noise) =
+            learnt(&simulated::shoot(&simulated::scene(WIDTH, 192, 1), WIDTH, &TIMES, curve, 1.0, 5));
+        let before = merge(&still, &response, &noise).unwrap();
+        for photograph in 0..3 {
+            let (moved, inside) = with_a_patch(&still, &other, photograph);
+            let merged = merge(&moved, &response, &noise).unwrap();
+            let found = inside.iter().filter(|&&i| merged.mask[i] & RadianceImage::GHOST != 0).count();
+            assert!(found * 100 > inside.len() * 95, "photograph {photograph}: {found} of {}", inside.len());
+            let outside = part(&merged.mask) * merged.mask.len() as f64 - found as f64;
+            assert!(outside <= 60.0, "photograph {photograph}: {outside}");
+            // What is left of the patch is less than noise.
+            let mut measured = 0;
+            for &i in &inside {
+                for c in 0..3 {
+                    if merged.variance[i][c].is_finite() {
+                        measured += 1;
+                        let sigma = (merged.variance[i][c] + before.variance[i][c]).sqrt();
+                        let off = (merged.radiance[i][c] - before.radiance[i][c]).abs();
+                        assert!(off < 5.0 * sigma, "photograph {photograph}: {off} {sigma}");
+                    }
+                }
+            }
+            assert!(measured > 2 * inside.len(), "{measured}");
+        }
+    }
+
+    #[test]
+    fn two_photographs_that_contradict_each_other_measure_nothing() {
+        let (_, curve) = CURVES[0];
+        let times = [1.0, 0.5];
+        let shoot = |radiance: f64, seed| {
+            simulated::shoot(&[[radiance; 3]; WIDTH * 192], WIDTH, &times, curve, 1.0, seed)
+        };
+        let (response, noise) =
+            learnt(&simulated::shoot(&simulated::scene(WIDTH, 192, 1), WIDTH, &times, curve, 1.0, 5));
+        let (moved, inside) = with_a_patch(&shoot(0.2, 1), &shoot(0.4, 2), 1);
+        let merged = merge(&moved, &response, &noise).unwrap();
+        for &i in &inside {
+            assert_eq!(merged.mask[i], RadianceImage::GHOST);
+            assert!(merged.variance[i].iter().all(|v| v.is_infinite()));
+        }
+    }
+}
