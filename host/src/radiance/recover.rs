@@ -20,8 +20,10 @@ use crate::{Error, Result};
 
 /// The curve is sought at this many levels; deeper pictures are interpolated between them.
 pub(super) const KNOTS: usize = 256;
-/// How well the model itself is thought to hold, relative; keeps single blocks from ruling.
+/// How well the model itself is thought to hold, relative, before it has been tried and at best; keeps single blocks from
+/// ruling.
 const MODEL_ERROR: f64 = 0.01;
+const LEAST_MODEL_ERROR: f64 = 0.002;
 /// Where a pixel's relative variance is greater than this, black cuts off too much of its noise for an unbiased mean.
 const FAINT: f64 = 1.0 / 16.0;
 /// Times that noise and response are found from each other, and times that the curve is found in each.
@@ -64,7 +66,7 @@ impl Samples {
         noise: &NoiseModel,
         priors: &[Prior],
     ) -> Result<Curve> {
-        let camera = Camera::new(response, noise, channel);
+        let mut camera = Camera::new(response, noise, channel);
         let groups = self.gather(response.exposure(channel), &camera);
         if groups.is_empty() {
             return Err(Error::request(
@@ -81,6 +83,9 @@ impl Samples {
         for pass in 0..PASSES {
             let (mut matrix, mut right) = (DMatrix::zeros(KNOTS, KNOTS), DVector::zeros(KNOTS));
             mean.fill(0.0);
+            if pass > 0 {
+                camera.model_error = model_error(&groups, &g, &camera);
+            }
             for rows in &groups {
                 // Residuals of the baseline say nothing about outliers: the first pass trusts every row.
                 if let Some(group) = Group::new(rows, &g, &camera, pass > 0) {
@@ -158,6 +163,8 @@ pub(super) struct Camera {
     relative_variance: Vec<f64>,
     dark_knot: usize,
     saturated_knot: usize,
+    /// How well the model holds, relative.
+    model_error: f64,
 }
 
 impl Camera {
@@ -174,6 +181,7 @@ impl Camera {
                 .collect(),
             dark_knot: knot(noise.dark_level[channel]),
             saturated_knot: knot(noise.saturated_level[channel]),
+            model_error: MODEL_ERROR,
         }
     }
 }
@@ -233,7 +241,8 @@ impl<'a> Group<'a> {
         };
         let knot_at = |ln_exposure: f64| g.as_slice().partition_point(|&x| x < ln_exposure).min(KNOTS - 1);
         let pixels = rows[0].pixels;
-        let weight = |knot: usize| 1.0 / (MODEL_ERROR.powi(2) + camera.relative_variance[knot] / pixels);
+        let weight =
+            |knot: usize| 1.0 / (camera.model_error.powi(2) + camera.relative_variance[knot] / pixels);
         let mut weights: Vec<f64> = ln_exposure.iter().map(|&x| weight(knot_at(x))).collect();
         for _ in 0..if known { 3 } else { 1 } {
             let ln_radiance = mean(&weights);
@@ -302,6 +311,29 @@ impl<'a> Group<'a> {
             }
         }
     }
+}
+
+/// What noise leaves unexplained of the groups' contradictions, relative: JPEG, motion, the curve itself.
+fn model_error(groups: &[Vec<Row>], g: &DVector<f64>, camera: &Camera) -> f64 {
+    let (mut squares, mut noises) = (Vec::new(), Vec::new());
+    for group in groups.iter().filter_map(|rows| Group::new(rows, g, camera, true)) {
+        let total: f64 = group.weights.iter().sum();
+        let says = |i: usize| group.ln_exposure[i] - group.rows[i].ln_time;
+        let mean = (0..group.rows.len()).map(|i| group.weights[i] * says(i)).sum::<f64>() / total;
+        for (i, &weight) in group.weights.iter().enumerate().filter(|(_, w)| **w > 0.0) {
+            // A mean is nearer to its heaviest rows.
+            let freedom = (1.0 - weight / total).max(0.1);
+            squares.push((says(i) - mean).powi(2) / freedom);
+            noises.push(1.0 / weight - camera.model_error.powi(2));
+        }
+    }
+    let median = |values: &mut Vec<f64>| {
+        values.sort_by(f64::total_cmp);
+        values.get(values.len() / 2).copied().unwrap_or(MODEL_ERROR * MODEL_ERROR)
+    };
+    // The median of a squared normal number is 0.455 variances.
+    let excess = median(&mut squares) / 0.455 - median(&mut noises).max(0.0);
+    excess.max(LEAST_MODEL_ERROR.powi(2)).sqrt().min(MODEL_ERROR)
 }
 
 /// The covariance of g less its mean over the radiances from which it was learnt: the factor common to all of them is
