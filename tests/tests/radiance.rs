@@ -229,8 +229,14 @@ fn the_patchwork_camera_is_recovered_from_its_photographs() {
     vignetting.correct(&mut merged).unwrap();
     for ((radiance, variance), mask) in merged.radiance.iter().zip(&merged.variance).zip(&merged.mask) {
         assert!(radiance.iter().all(|r| r.is_finite() && *r >= 0.0));
-        assert_eq!(variance.iter().any(|v| v.is_infinite()), *mask != 0);
+        let clipped = mask & !RadianceImage::GHOST != 0;
+        assert!(variance.iter().any(|v| v.is_infinite()) == clipped || mask & RadianceImage::GHOST != 0);
     }
+    // Nothing moved there; but where one channel is saturated, JPEG's coarse colours make the others contradict
+    // themselves by a quarter, and that is found in the same way.
+    let ghosts = merged.mask.iter().filter(|&&m| m & RadianceImage::GHOST != 0).count();
+    println!("view 0: {:.3} % taken for ghosts", 100.0 * ghosts as f64 / merged.mask.len() as f64);
+    assert!(ghosts * 500 < merged.mask.len(), "{ghosts}");
     let saturated = merged.mask.iter().filter(|&&m| m & RadianceImage::SATURATED != 0).count();
     println!("view 0: {saturated} pixels saturated in all of {} photographs", stack.pictures.len());
 

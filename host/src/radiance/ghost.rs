@@ -16,6 +16,10 @@ const REACH: usize = 2;
 const LEAST: usize = 8;
 /// A pixel that is not odd is a ghost where so many of its eight neighbours are: by chance it looks alike before and after.
 const SURROUNDED: usize = 5;
+/// Means are taken so far around an odd pixel, about a block of JPEG's; by how much two photographs' must differ beyond
+/// noise, relative.
+const MEAN_REACH: usize = 4;
+const COHERENT: f32 = 0.05;
 /// How many standard deviations two photographs may differ by and still agree.
 const AGREE: f32 = 3.0;
 
@@ -30,7 +34,10 @@ pub(super) fn settle(image: &mut RadianceImage, pictures: &[&[[u16; 3]]], channe
             .flat_map(move |row| columns.clone().map(move |column| row * width + column))
     };
     let mask = &image.mask;
-    let is_ghost = |&i: &usize| around(i, REACH).filter(|&k| mask[k] & ODD != 0).count() >= LEAST;
+    let is_ghost = |&i: &usize| {
+        let near = around(i, REACH).filter(|&k| mask[k] & ODD != 0).count();
+        near >= LEAST && differ(&around(i, MEAN_REACH).collect::<Vec<_>>(), pictures, channels)
+    };
     let mut ghosts: HashSet<usize> = odd.iter().copied().filter(is_ghost).collect();
     let beside: HashSet<usize> =
         ghosts.iter().flat_map(|&i| around(i, 1)).filter(|i| !ghosts.contains(i)).collect();
@@ -49,6 +56,26 @@ pub(super) fn settle(image: &mut RadianceImage, pictures: &[&[[u16; 3]]], channe
             image.variance[i][c] = if most { measured.variance } else { f32::INFINITY };
         }
     }
+}
+
+/// Whether photographs differ in their means over some pixels: what JPEG adds at edges goes up and down and leaves the
+/// mean alone, what moves does not. Photographs next to each other in time are compared over the pixels that both measure.
+fn differ(near: &[usize], pictures: &[&[[u16; 3]]], channels: &[Channel; 3]) -> bool {
+    let pair = |a: usize, b: usize, c: usize| {
+        let (mut sums, mut variance, mut count) = ([0.0; 2], 0.0, 0);
+        for &i in near {
+            if let (Says::Value(x, vx), Says::Value(y, vy)) =
+                (channels[c].says(a, pictures[a][i][c]), channels[c].says(b, pictures[b][i][c]))
+            {
+                sums = [sums[0] + x, sums[1] + y];
+                variance += vx + vy;
+                count += 1;
+            }
+        }
+        2 * count > near.len()
+            && (sums[0] - sums[1]).abs() > AGREE * variance.sqrt() + COHERENT * sums[0].min(sums[1])
+    };
+    (1..pictures.len()).any(|b| (b.saturating_sub(2)..b).any(|a| (0..3).any(|c| pair(a, b, c))))
 }
 
 /// The largest set of photographs that agree with one of them, and whether they are most of those that measure the pixel.
