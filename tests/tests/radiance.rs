@@ -7,7 +7,7 @@ use std::path::Path;
 
 use rigel::calibration::Vignetting;
 use rigel::picture::Picture;
-use rigel::radiance::{RadianceImage, Response, Samples, Stack, merge};
+use rigel::radiance::{RadianceImage, Response, Samples, Stack, merge, others};
 use rigel_tests::data;
 
 /// The 16 photographs of the memorial church; `memorial.txt` lists one over the exposure time.
@@ -69,6 +69,42 @@ fn misprediction(stack: &Stack, held: usize, radiance: &[[f32; 3]], choose: impl
     errors.iter().sum::<f64>() / errors.len() as f64
 }
 
+/// How many pixels agree in luminance within a quarter stop, the median factor removed, of those whose luminance in the
+/// reference is in a range.
+fn within_a_quarter_stop(ours: &[[f32; 3]], reference: &[[f32; 3]], range: std::ops::Range<f64>) -> f64 {
+    let luminance = |c: &[f32; 3]| f64::from(0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2]);
+    let pairs: Vec<(f64, f64)> = ours
+        .iter()
+        .zip(reference)
+        .filter(|(_, theirs)| theirs[1] > 0.0)
+        .map(|(ours, theirs)| ((luminance(ours) / luminance(theirs)).log2(), luminance(theirs)))
+        .collect();
+    let middle = median(pairs.iter().map(|p| p.0).collect());
+    let chosen: Vec<_> = pairs.iter().filter(|p| range.contains(&p.1)).collect();
+    chosen.iter().filter(|p| (p.0 - middle).abs() <= 0.25).count() as f64 / chosen.len() as f64
+}
+
+/// How the published map was made: with Debevec's and Malik's equations on 70 pixels and a smoothness of 10, but with a
+/// weight that does not fall off towards white, so that saturated photographs draw the highlights down by the five stops
+/// that are missing there. With the hat of the paper 95 % of it are met.
+#[test]
+fn the_published_map_of_the_memorial_church_is_met_by_the_method_that_made_it() {
+    let Some(folder) = data("hdr/memorial") else { return };
+    let stack = memorial(&folder);
+    let reference = reference(&folder.join("memorial_debevec_reference.hdr"));
+    let share = |pixels: usize, smoothness: f64, weight: fn(usize) -> f64| {
+        let response = others::debevec_response(&stack, pixels, smoothness).unwrap();
+        let radiance = others::debevec_merge(&stack, &response, weight);
+        let share = within_a_quarter_stop(&radiance, &reference, 0.0..1e9);
+        println!("memorial: {pixels} pixels, smoothness {smoothness}: {:.2} %", 100.0 * share);
+        share
+    };
+    let (risen, hat) = (share(70, 10.0, others::rise), share(70, 10.0, others::hat));
+    share(300, 30.0, others::rise);
+    share(300, 30.0, others::hat);
+    assert!(risen >= 0.97 && hat < risen, "{risen} {hat}");
+}
+
 /// Every seventh pixel is enough to judge by.
 const STRIDE: usize = 7;
 
@@ -122,20 +158,8 @@ fn the_memorial_church_explains_its_photographs() {
         assert!(ours < 0.9 * theirs && ours_dark < 0.7 * theirs_dark, "{held}");
     }
 
-    let luminance = |c: [f32; 3]| f64::from(0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2]);
-    let pairs: Vec<(f64, f64)> = merged
-        .radiance
-        .iter()
-        .zip(&reference)
-        .filter(|(_, theirs)| theirs[1] > 0.0)
-        .map(|(ours, theirs)| ((luminance(*ours) / luminance(*theirs)).log2(), luminance(*theirs)))
-        .collect();
-    let middle = median(pairs.iter().map(|p| p.0).collect());
-    let share = |range: std::ops::Range<f64>| {
-        let chosen: Vec<_> = pairs.iter().filter(|p| range.contains(&p.1)).collect();
-        chosen.iter().filter(|p| (p.0 - middle).abs() <= 0.25).count() as f64 / chosen.len() as f64
-    };
-    let (all, consistent) = (share(0.0..1e9), share(1.0 / 16.0..0.25));
+    let all = within_a_quarter_stop(&merged.radiance, &reference, 0.0..1e9);
+    let consistent = within_a_quarter_stop(&merged.radiance, &reference, 1.0 / 16.0..0.25);
     println!(
         "memorial: within a quarter stop of the published map: {:.1} % of all pixels, {:.1} % of its middle two stops",
         100.0 * all,

@@ -3,9 +3,11 @@
 //! Single pixels beyond noise are found everywhere, for noise has tails; many of them side by side are not noise.
 //! (What others do: Tursun et al., "The State of the Art in HDR Deghosting", Eurographics 2015.)
 
-use std::collections::HashSet;
+use std::collections::BTreeSet;
 
-use super::weights::{Channel, Says, TOLERANCE};
+use rayon::prelude::*;
+
+use super::weights::{Channel, Measured, Says, TOLERANCE};
 use super::{Mask, RadianceImage};
 
 /// While a picture is merged: the photographs of this pixel differ by more than noise.
@@ -16,8 +18,9 @@ const REACH: usize = 2;
 const LEAST: usize = 8;
 /// A pixel that is not odd is a ghost where so many of its eight neighbours are: by chance it looks alike before and after.
 const SURROUNDED: usize = 5;
-/// Means are taken so far around an odd pixel, about a block of JPEG's; by how much two photographs' must differ beyond
-/// noise, relative.
+/// Means are taken for cells of so many pixels a side and so far around their middle, about a block of JPEG's; by how much
+/// two photographs' must differ beyond noise, relative.
+const CELL: usize = 4;
 const MEAN_REACH: usize = 4;
 const COHERENT: f32 = 0.05;
 /// How many standard deviations two photographs may differ by and still agree.
@@ -34,28 +37,47 @@ pub(super) fn settle(image: &mut RadianceImage, pictures: &[&[[u16; 3]]], channe
             .flat_map(move |row| columns.clone().map(move |column| row * width + column))
     };
     let mask = &image.mask;
-    let is_ghost = |&i: &usize| {
-        let near = around(i, REACH).filter(|&k| mask[k] & ODD != 0).count();
-        near >= LEAST && differ(&around(i, MEAN_REACH).collect::<Vec<_>>(), pictures, channels)
-    };
-    let mut ghosts: HashSet<usize> = odd.iter().copied().filter(is_ghost).collect();
-    let beside: HashSet<usize> =
-        ghosts.iter().flat_map(|&i| around(i, 1)).filter(|i| !ghosts.contains(i)).collect();
-    let surrounded = |&i: &usize| around(i, 1).filter(|k| ghosts.contains(k)).count() >= SURROUNDED;
-    let inside: Vec<usize> = beside.into_iter().filter(surrounded).collect();
-    ghosts.extend(inside);
+    let crowded = |&i: &usize| around(i, REACH).filter(|&k| mask[k] & ODD != 0).count() >= LEAST;
+    let crowded: Vec<usize> = odd.iter().copied().filter(crowded).collect();
+    // Means are compared once for the pixels of a cell.
+    let cell = |i: usize| (i / width / CELL, i % width / CELL);
+    let cells: BTreeSet<(usize, usize)> = crowded.iter().map(|&i| cell(i)).collect();
+    let differing: BTreeSet<(usize, usize)> = cells
+        .into_par_iter()
+        .filter(|&(row, column)| {
+            let (y, x) = (row * CELL + CELL / 2, column * CELL + CELL / 2);
+            let near: Vec<usize> = around(y.min(height - 1) * width + x.min(width - 1), MEAN_REACH).collect();
+            differ(&near, pictures, channels)
+        })
+        .collect();
+    let mut ghosts: Vec<usize> = crowded.into_iter().filter(|&i| differing.contains(&cell(i))).collect();
     odd.iter().for_each(|&i| image.mask[i] &= !ODD);
-    for i in ghosts {
-        let levels: Vec<[u16; 3]> = pictures.iter().map(|picture| picture[i]).collect();
-        let (agreeing, most) = majority(&levels, channels);
-        image.mask[i] = RadianceImage::GHOST;
-        for c in 0..3 {
-            let measured = channels[c].careful(agreeing.iter().copied(), |j| levels[j][c]);
-            image.mask[i] |= measured.flags;
-            image.radiance[i][c] = measured.radiance;
-            image.variance[i][c] = if most { measured.variance } else { f32::INFINITY };
-        }
+    ghosts.iter().for_each(|&i| image.mask[i] |= RadianceImage::GHOST);
+    let mask = &image.mask;
+    let is_ghost = |i: usize| mask[i] & RadianceImage::GHOST != 0;
+    let inside: BTreeSet<usize> = ghosts
+        .iter()
+        .flat_map(|&i| around(i, 1))
+        .filter(|&i| !is_ghost(i) && around(i, 1).filter(|&k| is_ghost(k)).count() >= SURROUNDED)
+        .collect();
+    ghosts.extend(inside);
+    let measured: Vec<[Measured; 3]> = ghosts.par_iter().map(|&i| agreed(i, pictures, channels)).collect();
+    for (i, measured) in ghosts.into_iter().zip(measured) {
+        image.mask[i] = measured.iter().fold(RadianceImage::GHOST, |mask, m| mask | m.flags);
+        image.radiance[i] = measured.map(|m| m.radiance);
+        image.variance[i] = measured.map(|m| m.variance);
     }
+}
+
+/// What most photographs say of a pixel; of infinite variance where no majority agrees.
+fn agreed(i: usize, pictures: &[&[[u16; 3]]], channels: &[Channel; 3]) -> [Measured; 3] {
+    let levels: Vec<[u16; 3]> = pictures.iter().map(|picture| picture[i]).collect();
+    let (agreeing, most) = majority(&levels, channels);
+    [0, 1, 2].map(|c| {
+        let measured = channels[c].careful(agreeing.iter().copied(), |j| levels[j][c]);
+        let variance = if most { measured.variance } else { f32::INFINITY };
+        Measured { variance, ..measured }
+    })
 }
 
 /// Whether photographs differ in their means over some pixels: what JPEG adds at edges goes up and down and leaves the
@@ -75,7 +97,7 @@ fn differ(near: &[usize], pictures: &[&[[u16; 3]]], channels: &[Channel; 3]) -> 
         2 * count > near.len()
             && (sums[0] - sums[1]).abs() > AGREE * variance.sqrt() + COHERENT * sums[0].min(sums[1])
     };
-    (1..pictures.len()).any(|b| (b.saturating_sub(2)..b).any(|a| (0..3).any(|c| pair(a, b, c))))
+    (1..pictures.len()).any(|b| (0..3).any(|c| pair(b - 1, b, c)))
 }
 
 /// The largest set of photographs that agree with one of them, and whether they are most of those that measure the pixel.

@@ -12,6 +12,12 @@ pub fn hat(level: usize) -> f64 {
     level.min(LEVELS - 1 - level) as f64
 }
 
+/// A weight that grows up to white, saturated levels included: with it, and not with the hat, the radiance map of the memorial
+/// church that goes round is met (`tests/tests/radiance.rs`).
+pub fn rise(level: usize) -> f64 {
+    level as f64
+}
+
 /// Robertson's, Borman's and Stevenson's weight of a level ("Estimation-theoretic approach to dynamic range enhancement using
 /// multiple exposures", Journal of Electronic Imaging 12(2), 2003, equation 17): a bell that ends at black and white.
 pub fn bell(level: usize) -> f64 {
@@ -59,9 +65,10 @@ pub fn debevec_response(stack: &Stack, pixels: usize, smoothness: f64) -> Result
     Ok(Response::from_tables(tables))
 }
 
-/// Radiance after Debevec and Malik (equation 6): the mean of ln exposure - ln time, weighted with the hat.
-pub fn debevec_merge(stack: &Stack, response: &Response) -> Vec<[f32; 3]> {
-    let weights: Vec<f32> = (0..LEVELS).map(|level| hat(level) as f32).collect();
+/// Radiance after Debevec and Malik (equation 6): the mean of ln exposure - ln time, weighted by level: with [`hat`], as they
+/// wrote, or with [`rise`].
+pub fn debevec_merge(stack: &Stack, response: &Response, weight: fn(usize) -> f64) -> Vec<[f32; 3]> {
+    let weights: Vec<f32> = (0..LEVELS).map(|level| weight(level) as f32).collect();
     let logs =
         [0, 1, 2].map(|c| response.exposure(c).iter().map(|x| x.max(1e-12).ln()).collect::<Vec<f32>>());
     let times: Vec<f32> = stack.exposure_s.iter().map(|t| t.ln() as f32).collect();
@@ -143,12 +150,14 @@ fn check(stack: &Stack) -> Result<()> {
     Ok(())
 }
 
-/// About so many pixels, evenly over the picture.
+/// About so many pixels, evenly over the picture (the grid of OpenCV's CalibrateDebevec).
 fn grid(stack: &Stack, pixels: usize) -> Vec<usize> {
     let (width, height) = (stack.pictures[0].width as usize, stack.pictures[0].height as usize);
-    let step = ((width * height) as f64 / pixels as f64).sqrt().max(1.0) as usize;
-    let columns = || (step / 2..width).step_by(step);
-    (step / 2..height).step_by(step).flat_map(|y| columns().map(move |x| y * width + x)).collect()
+    let columns = ((pixels * width) as f64 / height as f64).sqrt().max(1.0) as usize;
+    let rows = (pixels / columns).max(1);
+    let (dx, dy) = ((width / columns).max(1), (height / rows).max(1));
+    let row = |y: usize| (dx / 2..width).step_by(dx).take(columns).map(move |x| y * width + x);
+    (dy / 2..height).step_by(dy).take(rows).flat_map(row).collect()
 }
 
 #[cfg(test)]
@@ -176,7 +185,7 @@ mod tests {
         let debevec = debevec_response(&stack, 300, 30.0).unwrap();
         let robertson = robertson_response(&stack).unwrap();
         let (d, r) = (
-            error(&debevec_merge(&stack, &debevec), &scene),
+            error(&debevec_merge(&stack, &debevec, hat), &scene),
             error(&robertson_merge(&stack, &robertson), &scene),
         );
         println!("Debevec {:.2} %, Robertson {:.2} %", 100.0 * d, 100.0 * r);
