@@ -23,7 +23,6 @@ pub(super) struct Corner {
     pub edges: [DVec2; 4],
     /// Bright minus dark.
     pub contrast: f32,
-    pub strength: f32,
 }
 
 /// A picture prepared for the search of corners.
@@ -141,6 +140,6 @@ impl Search {
         // Brightness falls where a dark sector begins.
         let (a, b) = if first_falls { (first, second) } else { (second, first + std::f64::consts::PI) };
         let (a, b) = (DVec2::from_angle(a), DVec2::from_angle(b));
-        Some(Corner { at, edges: [a, b, -a, -b], contrast, strength: here })
+        Some(Corner { at, edges: [a, b, -a, -b], contrast })
     }
 }

@@ -122,7 +122,7 @@ fn fits(corner: &Corner, edge: usize, other: &Corner) -> Option<usize> {
 fn edge_between(search: &Search, corner: &Corner, edge: usize, other: &Corner) -> bool {
     let way = other.at - corner.at;
     let length = way.length();
-    let aside = way.perp() / length * (0.13 * length).clamp(1.5, 0.3 * length);
+    let aside = way.perp() / length * (0.13 * length).max(1.5).min(0.3 * length);
     let dark = if edge.is_multiple_of(2) { aside } else { -aside };
     let least = 0.25 * corner.contrast.min(other.contrast);
     [0.3, 0.5, 0.7].into_iter().all(|part| {
