@@ -1,10 +1,13 @@
 //! Measurements as pictures: SVG that a browser shows on light and dark pages, prints, and needs no font for.
 
 mod canvas;
+mod field;
 mod labels;
 mod scale;
 
 use crate::{Error, Result};
+pub use field::{Arrow, field};
+
 use canvas::{Mark, chart};
 use labels::{Label, place};
 use scale::Scale;

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Deserializer, Serializer};
 
+use crate::calibration::BoardSize;
 use crate::geometry::{Surface, Texels};
 use crate::{Error, Result};
 
@@ -55,6 +56,24 @@ pub fn parse_texels(text: &str) -> Result<Texels> {
         _ => Err(Error::request(
             format!("'{text}' is not a number of texels"),
             "write columns and rows as 512x512, at most 16384 each",
+        )),
+    }
+}
+
+/// Reads a board's inner corners, `9x6`.
+///
+/// # Errors
+/// [`Error::Request`] when it is not two whole numbers from 3 to 100.
+pub fn parse_board(text: &str) -> Result<BoardSize> {
+    let parts =
+        text.split_once('x').and_then(|(c, r)| Some((c.trim().parse().ok()?, r.trim().parse().ok()?)));
+    match parts {
+        Some((columns, rows)) if (3..=100).contains(&columns) && (3..=100).contains(&rows) => {
+            Ok(BoardSize { columns, rows })
+        }
+        _ => Err(Error::request(
+            format!("'{text}' is not a board"),
+            "write its inner corners (where four squares meet) as 9x6, from 3 to 100 each",
         )),
     }
 }
@@ -114,6 +133,14 @@ mod tests {
             );
         }
         assert!(parse_surface("200mm").is_err());
+    }
+
+    #[test]
+    fn a_board_has_two_sides() {
+        assert_eq!(parse_board("9x6").unwrap(), BoardSize { columns: 9, rows: 6 });
+        for bad in ["9", "9x", "2x6", "9x101", "-9x6", "9x6mm"] {
+            assert!(parse_board(bad).is_err(), "{bad}");
+        }
     }
 
     #[test]

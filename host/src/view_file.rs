@@ -1,7 +1,11 @@
 //! Lenses, poses and reference views in files (TOML or JSON) that people or other programs wrote.
 //!
 //! Fields: `fx fy` (or `f`) `cx cy k1 k2 p1 p2 k3` as in OpenCV, `width height`; a pose is `centre` (mm), `forward` and `up`,
-//! all in the surface's frame; a reference view also has the `file` of its radiance.
+//! all in the surface's frame; a reference view also has the `file` of its radiance. A lens is also read from the YAML or XML that
+//! OpenCV's `FileStorage` writes, and from COLMAP's `cameras.txt`.
+
+pub(crate) mod colmap;
+mod opencv;
 
 use std::path::{Path, PathBuf};
 
@@ -9,6 +13,7 @@ use glam::DVec3;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
+use crate::calibration::LensCovariance;
 use crate::geometry::{Lens, Pose};
 use crate::{Error, Result};
 
@@ -19,6 +24,7 @@ const MOST_PIXELS: u32 = 65535;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Calibration {
     lens: LensFile,
+    covariance: Option<LensCovariance>,
     views: Vec<(u32, Pose)>,
 }
 
@@ -61,8 +67,8 @@ struct PoseFile {
 }
 
 impl Calibration {
-    /// Reads a lens and, where the file has `views`, their poses by number. `pixel_centre` says where the file has the centre
-    /// of the first pixel: 0 (OpenCV) or 0.5.
+    /// Reads a lens and, where the file has them, its `covariance` and the poses of `views` by number. `pixel_centre` says where the
+    /// file has the centre of the first pixel: 0 (OpenCV) or 0.5; COLMAP's has it at 0.5 whatever is said here.
     ///
     /// # Errors
     /// [`Error::Input`] when the file is damaged or lacks a field.
@@ -77,16 +83,29 @@ impl Calibration {
         struct File {
             #[serde(flatten)]
             lens: LensFile,
+            covariance: Option<LensCovariance>,
             #[serde(default)]
             views: Vec<Numbered>,
         }
-        let file: File = parse(path)?;
+        let text = read(path)?;
+        if let Some((lens, pixel_centre)) = foreign(path, &text, pixel_centre)? {
+            return Ok(Self { lens: lens.check(path, pixel_centre)?, covariance: None, views: vec![] });
+        }
+        let file: File = parse_text(path, &text)?;
         let views = file
             .views
             .into_iter()
             .map(|entry| Ok((entry.view, entry.pose.check(path)?)))
             .collect::<Result<_>>()?;
-        Ok(Self { lens: file.lens.check(path, pixel_centre)?, views })
+        if let Some(covariance) = &file.covariance {
+            check_covariance(path, covariance)?;
+        }
+        Ok(Self { lens: file.lens.check(path, pixel_centre)?, covariance: file.covariance, views })
+    }
+
+    /// How sure the lens is, where the file says so; for the picture size of the file.
+    pub fn covariance(&self) -> Option<LensCovariance> {
+        self.covariance
     }
 
     /// The lens; for a picture of `width` x `height` pixels where the file does not say its size.
@@ -169,6 +188,12 @@ pub fn read_camera(path: &Path, pixel_centre: f64) -> Result<(Lens, Pose)> {
 }
 
 impl LensFile {
+    fn of(lens: &Lens) -> Self {
+        let Lens { width, height, fx, fy, cx, cy, k1, k2, p1, p2, k3 } = *lens;
+        let (width, height) = (Some(width), Some(height));
+        Self { f: None, fx: Some(fx), fy: Some(fy), cx, cy, k1, k2, p1, p2, k3, width, height }
+    }
+
     fn check(mut self, path: &Path, pixel_centre: f64) -> Result<Self> {
         if !(pixel_centre == 0.0 || pixel_centre == 0.5) {
             return Err(Error::request(
@@ -240,6 +265,39 @@ impl PoseFile {
     }
 }
 
+/// A lens in a file of another program, and where its first pixel's centre is; `None` for TOML and JSON.
+fn foreign(path: &Path, text: &str, pixel_centre: f64) -> Result<Option<(LensFile, f64)>> {
+    if opencv::is_storage(text) {
+        return Ok(Some((opencv::read(path, text)?, pixel_centre)));
+    }
+    if path.file_name().is_some_and(|name| name == "cameras.txt") {
+        let mut lenses: Vec<Lens> = colmap::read_cameras(path)?.into_values().collect();
+        lenses.dedup();
+        return match lenses[..] {
+            [lens] => Ok(Some((LensFile::of(&lens), 0.0))),
+            [] => Err(Error::input(path, "has no camera", "export the model again with COLMAP (as text)")),
+            _ => Err(Error::input(path, format!("has {} cameras", lenses.len()), "keep the one that is meant")),
+        };
+    }
+    Ok(None)
+}
+
+fn check_covariance(path: &Path, covariance: &LensCovariance) -> Result<()> {
+    let usable = |i: usize, j: usize| {
+        let (a, b) = (covariance[i][j], covariance[j][i]);
+        a.is_finite() && (a - b).abs() <= 1e-6 * (covariance[i][i] * covariance[j][j]).sqrt()
+    };
+    let broken = (0..9).flat_map(|i| (0..9).map(move |j| (i, j))).find(|&(i, j)| !usable(i, j));
+    match broken {
+        None => Ok(()),
+        Some((i, j)) => Err(Error::input(
+            path,
+            format!("covariance has {} at row {} column {}, which no covariance has", covariance[i][j], i + 1, j + 1),
+            "write it again with `rigel calibrate`, or remove it",
+        )),
+    }
+}
+
 fn parse<T: DeserializeOwned>(path: &Path) -> Result<T> {
     parse_text(path, &read(path)?)
 }
@@ -295,6 +353,27 @@ mod tests {
         assert_eq!((lens, pose), read_camera(json.path(), 0.5).unwrap());
         assert_eq!(lens.cx, 319.5);
         assert!((pose.to_camera(DVec3::new(0.1, 0.0, 0.0)) - DVec3::new(0.1, 0.0, 0.9)).length() < 1e-12);
+    }
+
+    #[test]
+    fn a_covariance_is_read_and_checked() {
+        let head = "f = 500.0\ncx = 320.0\ncy = 240.0\n";
+        let rows = |change: f64| {
+            let row = |i: usize| {
+                let row: Vec<String> = (0..9)
+                    .map(|j| if i == j { "4.0".into() } else { format!("{:?}", if j > i { 0.5 } else { change }) })
+                    .collect();
+                format!("[{}]", row.join(", "))
+            };
+            format!("covariance = [{}]\n", (0..9).map(row).collect::<Vec<_>>().join(", "))
+        };
+        let good = Calibration::read(file(&format!("{head}{}", rows(0.5))).path(), 0.0).unwrap();
+        assert_eq!(good.covariance().unwrap()[3][2], 0.5);
+        assert_eq!(Calibration::read(file(head).path(), 0.0).unwrap().covariance(), None);
+        for bad in [rows(0.6), rows(f64::NAN), "covariance = [[1.0]]\n".into()] {
+            let message = Calibration::read(file(&format!("{head}{bad}")).path(), 0.0).unwrap_err().to_string();
+            assert!(message.contains("; "), "{message}");
+        }
     }
 
     #[test]

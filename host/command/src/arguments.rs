@@ -3,8 +3,9 @@
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use rigel::calibration::BoardSize;
 use rigel::geometry::{Surface, Texels};
-use rigel::units::{parse_length_m, parse_surface, parse_texels};
+use rigel::units::{parse_board, parse_length_m, parse_surface, parse_texels};
 
 /// Captures how a surface looks from every direction and fits the smallest model that reproduces it.
 #[derive(Parser)]
@@ -30,6 +31,8 @@ pub enum Verb {
     Tracker(Tracker),
     /// Make a session of photographs that you have: a folder, a CSV or a COLMAP text model
     Import(Import),
+    /// Find a camera's lens: photographs of a chessboard make lens.toml, with its uncertainty
+    Calibrate(Calibrate),
     /// Turn a session's photographs into radiance: one OpenEXR per view, with variance and mask
     Radiance(Radiance),
     /// Gather radiance per texel against direction: radiance and poses make an observation map
@@ -240,6 +243,28 @@ pub struct Import {
     /// Take photographs without exposure time; `observe` then estimates one gain for each view
     #[arg(long)]
     pub exposure_times_unknown: bool,
+}
+
+#[derive(Args)]
+pub struct Calibrate {
+    /// Photographs of a chessboard, ten or more: tilted to all sides, out to the corners of the picture
+    #[arg(required = true)]
+    pub photographs: Vec<PathBuf>,
+    /// Inner corners of the board, such as 9x6
+    #[arg(long, value_parser = parse_board)]
+    pub board: BoardSize,
+    /// Side of a square, such as 18mm
+    #[arg(long = "square", value_name = "LENGTH", value_parser = parse_length_m)]
+    pub square_m: f64,
+    /// The lens
+    #[arg(long, default_value = "lens.toml")]
+    pub out: PathBuf,
+    /// Terms of the distortion: none, k1, k1k2, k1k2p1p2, k1k2p1p2k3, or auto: the fewest that foretell boards held out as well as more do
+    #[arg(long, default_value = "auto")]
+    pub model: String,
+    /// Folder for residuals.csv, and residuals and uncertainty across the picture as SVG
+    #[arg(long)]
+    pub residuals: Option<PathBuf>,
 }
 
 #[derive(Args)]

@@ -25,6 +25,7 @@ fn main() -> ExitCode {
         Verb::Rig(arguments) => verbs::rig(&arguments),
         Verb::Tracker(arguments) => verbs::tracker(&arguments),
         Verb::Import(arguments) => verbs::import(&arguments),
+        Verb::Calibrate(arguments) => verbs::calibrate(&arguments),
         Verb::Radiance(arguments) => verbs::radiance(&arguments),
         Verb::Observe(arguments) => verbs::observe(&arguments),
         Verb::Fit(arguments) => verbs::fit(&arguments),

@@ -1,12 +1,14 @@
 //! One function for each verb: it calls the library and says what was written.
 
 mod bench;
+mod calibrate;
 mod capture;
 mod demo;
 mod fit;
 mod import;
 
 pub use bench::{devices, rig, tracker};
+pub use calibrate::calibrate;
 pub use capture::{capture, collect};
 pub use demo::demo;
 pub use fit::{evaluate, fit, render};

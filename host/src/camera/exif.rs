@@ -52,6 +52,20 @@ pub fn read(path: &Path) -> Result<Exif> {
     Ok(Exif { exposure_s, taken, focal_length_mm })
 }
 
+/// The focal length that a photograph's EXIF block tells, metres; `None` where it tells none.
+///
+/// # Errors
+/// [`Error::Io`] when the file cannot be opened.
+pub fn focal_length_m(path: &Path) -> Result<Option<f64>> {
+    let file = std::fs::File::open(path).map_err(Error::io("read", path))?;
+    let Ok(block) = Reader::new().read_from_container(&mut BufReader::new(file)) else { return Ok(None) };
+    let millimetres = match block.get_field(Tag::FocalLength, In::PRIMARY).map(|field| &field.value) {
+        Some(Value::Rational(lengths)) => lengths.first().map(Rational::to_f64),
+        _ => None,
+    };
+    Ok(millimetres.filter(|length| length.is_finite() && *length > 0.0).map(|length| 1e-3 * length))
+}
+
 /// An EXIF block that tells an exposure time and, if known, when the exposure began, in UTC to a millisecond.
 pub fn block(exposure_s: f64, at: Option<SystemTime>) -> Vec<u8> {
     let [ascii, long, rational] = [2, 4, 5];

@@ -1,5 +1,6 @@
 //! A simulated rig, camera and surface with a known truth.
 
+pub mod board;
 pub mod camera;
 pub mod rig;
 pub mod scene;

@@ -1,0 +1,94 @@
+//! What was achieved, in a sentence, and what would improve it.
+
+use std::path::Path;
+
+use glam::{DVec2, DVec3};
+
+use super::LensCalibration;
+use super::adjust::Estimate;
+use super::doubt::Doubt;
+use crate::{Error, Result};
+
+/// The focal length counts as known when its standard deviation is this share of it.
+const KNOWN_FOCAL_LENGTH: f64 = 0.02;
+/// Boards within this angle of each other are parallel, degrees.
+const PARALLEL_DEG: f64 = 8.0;
+/// A corner of the picture was not covered when no board came nearer than this share of the diagonal ...
+const COVERED: f64 = 0.15;
+/// ... and things are shown there with a standard deviation of more than this, pixels.
+const SURE_PX: f64 = 0.25;
+/// Boards that contradict each other by this factor more than the noise of their corners are worth a word.
+const BENT: f64 = 1.5;
+
+/// Refuses boards that do not tell the focal length.
+pub(super) fn refuse_unknown_focal_length(path: &Path, estimate: &Estimate, doubt: Option<&Doubt>) -> Result<()> {
+    let lens = &estimate.lens;
+    let sigma = |k: usize| doubt.map_or(f64::INFINITY, |doubt| doubt.covariance[k][k].sqrt());
+    let share = (sigma(0) / lens.fx).max(sigma(1) / lens.fy);
+    if share <= KNOWN_FOCAL_LENGTH {
+        return Ok(());
+    }
+    let normals: Vec<DVec3> = estimate.poses.iter().map(|pose| pose.rotation.z_axis).collect();
+    let between = |a: &DVec3, b: &DVec3| a.dot(*b).abs().min(1.0).acos().to_degrees();
+    let widest = normals.iter().flat_map(|a| normals.iter().map(move |b| between(a, b))).fold(0.0, f64::max);
+    let known = match share.is_finite() {
+        true => format!("which tells the focal length only to within {:.0} %", 100.0 * share),
+        false => "which does not tell the focal length".into(),
+    };
+    let what = match widest < PARALLEL_DEG {
+        true => format!("and all other boards are parallel to within {widest:.0} degrees, {known}"),
+        false => format!("and the other boards show too little of the picture, {known}"),
+    };
+    let remedy = "tilt the board by 20 to 45 degrees to all sides and photograph it near, in ten positions";
+    Err(Error::input(path, what, remedy))
+}
+
+/// The verdict on a calibration.
+pub(super) fn verdict(calibration: &LensCalibration) -> String {
+    let lens = &calibration.lens;
+    let mut sigmas = calibration.projection_sigmas_px(9, 7);
+    sigmas.sort_by(f64::total_cmp);
+    let typical = sigmas[sigmas.len() / 2];
+    let (right, bottom) = (f64::from(lens.width) - 1.0, f64::from(lens.height) - 1.0);
+    let corners = [
+        ("top left", DVec2::ZERO),
+        ("top right", DVec2::new(right, 0.0)),
+        ("bottom left", DVec2::new(0.0, bottom)),
+        ("bottom right", DVec2::new(right, bottom)),
+    ];
+    let at_corners: Vec<f64> = corners.iter().map(|(_, at)| calibration.projection_sigma_px(*at)).collect();
+    let worst = at_corners.iter().copied().fold(0.0, f64::max);
+    let seen = || calibration.boards.iter().flat_map(|board| &board.corners).filter(|corner| corner.used);
+    let bare: Vec<&str> = corners
+        .iter()
+        .zip(&at_corners)
+        .filter(|((_, at), sigma)| {
+            let near = COVERED * right.hypot(bottom);
+            **sigma > SURE_PX && seen().all(|seen| seen.corner.pixel.distance(*at) > near)
+        })
+        .map(|((name, _), _)| *name)
+        .collect();
+    let mut text = match worst.is_finite() {
+        true => format!(
+            "calibrated: things are shown where they are to within {typical:.2} px, and {worst:.2} px in the corners of the picture"
+        ),
+        false => "calibrated where the boards were; the lens shows nothing in the corners of the picture".into(),
+    };
+    match bare.len() {
+        0 => {}
+        4 => text += "; the corners of the picture were not covered: tilt the board there",
+        1 => text += &format!("; the {} corner of the picture was not covered: tilt the board there", bare[0]),
+        _ => {
+            let (last, others) = bare.split_last().unwrap_or((&"", &[]));
+            let others = others.join(", ");
+            text += &format!("; the {others} and {last} corners of the picture were not covered: tilt the board there");
+        }
+    }
+    if calibration.excess > BENT {
+        text += &format!(
+            "; the boards contradict each other {:.1} times more than the noise of their corners: glue the board to something flat",
+            calibration.excess.sqrt()
+        );
+    }
+    text
+}
