@@ -4,6 +4,7 @@ use std::fs::File;
 use std::io::{BufWriter, Seek, SeekFrom, Write};
 use std::path::Path;
 
+use glam::DVec3;
 use half::f16;
 use rayon::prelude::*;
 
@@ -59,12 +60,18 @@ pub fn observe(
             "check the poses, the lens and the size of the surface (--surface)",
         )
     })?;
+    let names: Vec<String> = observed.iter().map(|view| view.name.clone()).collect();
     if views
         .iter()
         .any(|&view| session.photographs(view).iter().any(|photograph| photograph.exposure_s.is_none()))
     {
-        let names: Vec<String> = observed.iter().map(|view| view.name.clone()).collect();
         for (view, gain) in observed.iter_mut().zip(gain::estimate(&logarithms(&coarse), &names)?) {
+            view.gain = gain;
+        }
+    } else {
+        let directions: Vec<DVec3> = observed.iter().map(|view| view.centre_m).collect();
+        let drift = gain::drift(&logarithms(&coarse), &names, &directions);
+        for (view, gain) in observed.iter_mut().zip(drift.into_iter().flatten()) {
             view.gain = gain;
         }
     }

@@ -105,7 +105,10 @@ pub fn observe(arguments: &Observe) -> Result<()> {
     if header.views.iter().any(|view| view.gain != 1.0) {
         let gains: Vec<String> =
             header.views.iter().map(|view| format!("{} {:.3}", view.name, view.gain)).collect();
-        say!("note: exposure times are unknown; gains: {}", gains.join(", "));
+        say!(
+            "note: the views' brightness differs, which is taken out (exposure times unknown, or the lamp drifted): {}",
+            gains.join(", ")
+        );
     }
     say!(
         "wrote {}: {}x{} texels, {} views, {:.1} MB; {:.2} % of the observations are absent",
