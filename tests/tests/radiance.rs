@@ -6,8 +6,11 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use rigel::calibration::Vignetting;
+use rigel::measure::{self, ResponseChoice, Times, measure, measure_with};
 use rigel::picture::Picture;
+use rigel::progress::Silent;
 use rigel::radiance::{RadianceImage, Response, Samples, Stack, merge, others};
+use rigel::session::import::{Options, Source, import};
 use rigel_tests::data;
 
 /// The 16 photographs of the memorial church; `memorial.txt` lists one over the exposure time.
@@ -209,6 +212,41 @@ fn true_response(truth: &serde_json::Value, channel: usize) -> Vec<f64> {
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values[values.len() / 2]
+}
+
+/// A session of a few views of the patchwork capture, in which a table states one exposure time wrong.
+#[test]
+fn a_wrong_exposure_time_is_refused_by_name_or_measured() {
+    let Some(patchwork) = data("multiview/patchwork") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let table = std::fs::read_to_string(patchwork.join("views.csv")).unwrap();
+    let view =
+        |line: &&str| line.split(',').nth(1).is_some_and(|view| view.parse::<u32>().is_ok_and(|v| v < 5));
+    let lines: Vec<String> = table
+        .lines()
+        .take(1)
+        .chain(table.lines().filter(view))
+        .map(|line| match line.strip_prefix("view002_2.jpg,") {
+            Some(rest) => format!("view002_2.jpg,{},0.4", rest.rsplit_once(',').unwrap().0),
+            None => line.into(),
+        })
+        .collect();
+    let wrong = folder.path().join("views.csv");
+    std::fs::write(&wrong, lines.join("\n")).unwrap();
+    let source = Source::Csv { table: wrong, photographs: patchwork.join("photos") };
+    let session =
+        import(&source, &folder.path().join("session"), &Options::default(), &Silent).unwrap().session;
+    let message = measure(&session, &ResponseChoice::Recover, &Silent).unwrap_err().to_string();
+    println!("{message}");
+    assert!(message.contains("view002_2.jpg") && message.contains("0.4000 s"), "{message}");
+    assert!(message.contains("--exposure-times measured"), "{message}");
+    assert!(!session.radiance_path(2).exists());
+
+    let options = measure::Options { times: Times::Measured, ..measure::Options::default() };
+    let measured = measure_with(&session, &options, &Silent).unwrap();
+    assert_eq!(measured.written, 5);
+    let [time] = &measured.corrected[..] else { panic!("{:?}", measured.corrected) };
+    assert!(time.path.ends_with("view002_2.jpg") && (time.measured_s / 0.5 - 1.0).abs() < 0.02, "{time:?}");
 }
 
 #[test]

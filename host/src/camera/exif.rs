@@ -157,6 +157,22 @@ mod tests {
     }
 
     #[test]
+    fn the_focal_length_is_read_where_the_lens_tells_it() {
+        use exif::experimental::Writer;
+        for (length, expected) in [((500, 10), Some(50.0)), ((0, 1), None), ((0, 0), None)] {
+            let value = Value::Rational(vec![Rational { num: length.0, denom: length.1 }]);
+            let field = Field { tag: Tag::FocalLength, ifd_num: In::PRIMARY, value };
+            let mut writer = Writer::new();
+            writer.push_field(&field);
+            let mut block = std::io::Cursor::new(vec![]);
+            writer.write(&mut block, true).unwrap();
+            let file = tempfile::NamedTempFile::new().unwrap();
+            std::fs::write(file.path(), block.into_inner()).unwrap();
+            assert_eq!(read(file.path()).unwrap().focal_length_mm, expected);
+        }
+    }
+
+    #[test]
     fn a_clock_without_fractions_says_so_and_a_blank_one_says_nothing() {
         let time = |date: &str, fraction: &str| camera_time(date.as_bytes(), fraction.as_bytes());
         assert_eq!(time("1970:01:02 00:00:01", ""), Some(CameraTime { clock_s: 86_401.0, step_s: 1.0 }));
