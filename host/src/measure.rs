@@ -141,7 +141,7 @@ pub fn measure(session: &Session, choice: &ResponseChoice, progress: &dyn Progre
 }
 
 /// The photographs of a view with their times.
-fn stack(session: &Session, view: usize) -> Result<Stack> {
+pub(crate) fn stack(session: &Session, view: usize) -> Result<Stack> {
     let photographs = session.photographs(view);
     if photographs.is_empty() {
         return Err(Error::input(
