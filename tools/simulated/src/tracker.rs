@@ -291,7 +291,7 @@ impl Tracker {
         };
         let list = match &items[2..] {
             [] => List::Once,
-            again if *again == &items[..2] => List::Twice,
+            again if *again == items[..2] => List::Twice,
             [b"5", b"6", b"7"] => List::Cosines,
             _ => return,
         };

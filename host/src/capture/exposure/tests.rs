@@ -104,7 +104,7 @@ fn what_halving_reaches_never_takes_more_and_mostly_less() {
     for share in [0.9, 0.99] {
         for scene in scenes() {
             let (most, error) = halve(&scene, share);
-            if !(error < 1.0) {
+            if error >= 1.0 {
                 continue;
             }
             let (times, end) = take(&planner(error * 1.0001, share), &scene);

@@ -2,6 +2,8 @@
 
 use std::fs;
 
+use exr::prelude::write_rgb_file;
+
 use super::*;
 
 #[test]
