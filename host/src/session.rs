@@ -20,7 +20,7 @@ pub use collect::collect;
 pub use content::Content;
 pub use event::{Event, Exposed, Photograph, Place, Run};
 pub use journal::Journal;
-pub use manifest::{Manifest, View};
+pub use manifest::{Manifest, Precision, View};
 
 use crate::geometry::Pose;
 use crate::progress::Progress;
