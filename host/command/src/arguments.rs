@@ -32,6 +32,8 @@ pub enum Verb {
     Import(Import),
     /// Turn a session's photographs into radiance: one OpenEXR per view, with variance and mask
     Radiance(Radiance),
+    /// Find where each view was taken from: squares in the radiance and commanded angles make registration.toml
+    Register(Register),
     /// Gather radiance per texel against direction: radiance and poses make an observation map
     Observe(Observe),
     /// Fit a model to every texel: an observation map makes a parameter map
@@ -249,6 +251,18 @@ pub struct Radiance {
     /// What the photographs' levels are worth: recover (from the brackets), srgb, linear, or a response.csv
     #[arg(long, default_value = "recover")]
     pub response: String,
+}
+
+#[derive(Args)]
+pub struct Register {
+    /// Folder of the session
+    pub session: PathBuf,
+    /// The black squares around the surface: TOML with size and centres
+    #[arg(long)]
+    pub squares: Option<PathBuf>,
+    /// The lens, as `rigel calibrate` or OpenCV wrote it [default: the session's]
+    #[arg(long)]
+    pub lens: Option<PathBuf>,
 }
 
 #[derive(Args)]

@@ -26,6 +26,7 @@ fn main() -> ExitCode {
         Verb::Tracker(arguments) => verbs::tracker(&arguments),
         Verb::Import(arguments) => verbs::import(&arguments),
         Verb::Radiance(arguments) => verbs::radiance(&arguments),
+        Verb::Register(arguments) => verbs::register(&arguments),
         Verb::Observe(arguments) => verbs::observe(&arguments),
         Verb::Fit(arguments) => verbs::fit(&arguments),
         Verb::Render(arguments) => verbs::render(&arguments),

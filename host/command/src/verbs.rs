@@ -5,12 +5,14 @@ mod capture;
 mod demo;
 mod fit;
 mod import;
+mod register;
 
 pub use bench::{devices, rig, tracker};
 pub use capture::{capture, collect};
 pub use demo::demo;
 pub use fit::{evaluate, fit, render};
 pub use import::{import, observe, radiance};
+pub use register::register;
 
 use std::path::Path;
 
