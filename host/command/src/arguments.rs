@@ -35,6 +35,8 @@ pub enum Verb {
     Calibrate(Calibrate),
     /// Turn a session's photographs into radiance: one OpenEXR per view, with variance and mask
     Radiance(Radiance),
+    /// Find where each view was taken from: squares in the radiance and commanded angles make registration.toml
+    Register(Register),
     /// Gather radiance per texel against direction: radiance and poses make an observation map
     Observe(Observe),
     /// Fit a model to every texel: an observation map makes a parameter map
@@ -293,6 +295,18 @@ pub struct Radiance {
 pub enum ExposureTimes {
     Stated,
     Measured,
+}
+
+#[derive(Args)]
+pub struct Register {
+    /// Folder of the session
+    pub session: PathBuf,
+    /// The black squares around the surface: TOML with size and centres
+    #[arg(long)]
+    pub squares: Option<PathBuf>,
+    /// The lens, as `rigel calibrate` or OpenCV wrote it [default: the session's]
+    #[arg(long)]
+    pub lens: Option<PathBuf>,
 }
 
 #[derive(Args)]

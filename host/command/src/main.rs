@@ -27,6 +27,7 @@ fn main() -> ExitCode {
         Verb::Import(arguments) => verbs::import(&arguments),
         Verb::Calibrate(arguments) => verbs::calibrate(&arguments),
         Verb::Radiance(arguments) => verbs::radiance(&arguments),
+        Verb::Register(arguments) => verbs::register(&arguments),
         Verb::Observe(arguments) => verbs::observe(&arguments),
         Verb::Fit(arguments) => verbs::fit(&arguments),
         Verb::Render(arguments) => verbs::render(&arguments),

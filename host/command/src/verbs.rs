@@ -6,6 +6,7 @@ mod capture;
 mod demo;
 mod fit;
 mod import;
+mod register;
 
 pub use bench::{devices, rig, tracker};
 pub use calibrate::calibrate;
@@ -13,6 +14,7 @@ pub use capture::{capture, collect};
 pub use demo::demo;
 pub use fit::{evaluate, fit, render};
 pub use import::{import, observe, radiance};
+pub use register::register;
 
 use std::path::Path;
 
