@@ -45,6 +45,15 @@ pub enum Verb {
     Render(Render),
     /// Compare a parameter map with views that it has not seen: a table, CSV and difference pictures
     Evaluate(Evaluate),
+    /// Measure speed against accuracy on simulated devices, and what happens where a method breaks: charts and raw figures
+    Chart(Chart),
+}
+
+#[derive(Args)]
+pub struct Chart {
+    /// Folder for the page, its charts and the raw figures (CSV)
+    #[arg(long, default_value = "rigel-charts")]
+    pub out: PathBuf,
 }
 
 #[derive(Args)]

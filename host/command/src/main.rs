@@ -32,6 +32,7 @@ fn main() -> ExitCode {
         Verb::Fit(arguments) => verbs::fit(&arguments),
         Verb::Render(arguments) => verbs::render(&arguments),
         Verb::Evaluate(arguments) => verbs::evaluate(&arguments),
+        Verb::Chart(arguments) => verbs::chart(&arguments),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
