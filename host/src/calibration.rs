@@ -1,9 +1,24 @@
-//! What belongs to the camera and the rig rather than to a photograph: vignetting, the lens, chessboards.
+//! What belongs to the camera and the rig rather than to a photograph: vignetting, the lens, and where each view was taken
+//! from.
 
+mod adjust;
 pub mod chessboard;
+mod edge;
 pub mod lens;
+mod luminance;
+mod register;
+mod registration;
+mod rig_model;
+mod square;
+mod squares;
 pub mod vignetting;
 
 pub use chessboard::{BoardCorner, BoardSize, Sighting, find_board};
-pub use lens::{BoardView, LensCalibration, LensCovariance, LensModel, calibrate_lens, calibrate_photographs};
+pub use lens::{
+    BoardView, LensCalibration, LensCovariance, LensModel, calibrate_lens, calibrate_photographs,
+};
+pub use register::{RegisterOptions, register};
+pub use registration::{DeviationSigma, DroppedView, RegisteredView, Registration, view_geometry};
+pub use rig_model::RigModel;
+pub use squares::Squares;
 pub use vignetting::Vignetting;

@@ -1,4 +1,5 @@
-//! A capture session: the rig goes from view to view, the camera brackets each until no pixel is saturated.
+//! A capture session: the rig goes from view to view, the camera brackets each until no pixel is saturated, or takes the
+//! photographs that a wished precision needs.
 
 use crate::camera::{Camera, Shot};
 use crate::picture::Picture;
@@ -10,8 +11,11 @@ use crate::session::{
 };
 use crate::{Error, Result};
 
+pub mod exposure;
+mod planned;
 mod tracker;
 
+pub use planned::RESPONSE_FILE;
 pub use tracker::{Line as TrackerLine, TRACKER_FILE, TrackerLog};
 
 /// How often a view is photographed by a rig that does not stand still meanwhile.
@@ -125,6 +129,11 @@ pub fn plan(manifest: &Manifest, done: &[usize], rig: &dyn Rig, camera: &dyn Cam
 /// ends the capture, at most the last photograph is lost. Of a camera that keeps its files ([`Shot::Later`]) a view's whole
 /// bracket is exposed, since no picture tells when it is enough, and [`crate::session::collect`] brings the files.
 ///
+/// A view's exposure time is halved until no pixel is saturated. Where the manifest says how precise the views shall be,
+/// that is so until the camera's response and noise are known, from [`RESPONSE_FILE`] or the first views; then
+/// [`exposure::Planner`] chooses the times. Returned is a sentence for every view whose photographs are less than what was wished for;
+/// the journal has them, too.
+///
 /// # Errors
 /// What the rig, the camera or the disk report; [`Error::Input`] when somebody else writes into the session;
 /// [`Error::Interrupted`]. What was recorded until then is kept, and calling this again completes the session.
@@ -133,14 +142,15 @@ pub fn capture(
     rig: &mut dyn Rig,
     camera: &mut dyn Camera,
     progress: &dyn Progress,
-) -> Result<()> {
+) -> Result<Vec<String>> {
     session.lock()?;
     session.verify(false, &Silent)?;
     let times = bracket(&session.manifest, camera)?;
     plan(&session.manifest, &session.done_views(), rig, camera)?;
     let total = session.manifest.views.len();
+    let (mut planner, mut doubts) = (None, vec![]);
     if (0..total).all(|view| session.is_done(view)) {
-        return progress.step(total, total);
+        return progress.step(total, total).map(|()| doubts);
     }
     session.record(Event::Run(Run::now(rig.describe(), camera.describe())))?;
     for view in 0..total {
@@ -148,10 +158,32 @@ pub fn capture(
         if session.is_done(view) {
             continue;
         }
-        capture_view(session, view, rig, camera, &times, &|| progress.step(view, total))?;
+        if planner.is_none() {
+            planner = planned::planner(session, &times)?;
+        }
+        let exposures = Exposures { times: &times, planner: planner.as_ref() };
+        let doubt = capture_view(session, view, rig, camera, exposures, &|| progress.step(view, total))?;
+        if let Some(doubt) = doubt {
+            session.notice(doubt.clone())?;
+            doubts.push(doubt);
+        }
         session.record(Event::ViewDone { view })?;
     }
-    progress.step(total, total)
+    if session.manifest.precision.is_some() && !session.waiting().is_empty() {
+        doubts.push(
+            "nobody sees the photographs before they are collected: every view has its whole bracket".into(),
+        );
+    }
+    progress.step(total, total).map(|()| doubts)
+}
+
+/// How the times of a view are found.
+#[derive(Clone, Copy)]
+struct Exposures<'a> {
+    /// By halving, of which these are the times …
+    times: &'a [f64],
+    /// … or by a plan.
+    planner: Option<&'a exposure::Planner>,
 }
 
 /// Goes to a view and takes its photographs, all of them again when the rig does not stand there any more afterwards.
@@ -160,9 +192,9 @@ fn capture_view(
     view: usize,
     rig: &mut dyn Rig,
     camera: &mut dyn Camera,
-    times: &[f64],
+    exposures: Exposures,
     interrupted: &dyn Fn() -> Result<()>,
-) -> Result<()> {
+) -> Result<Option<String>> {
     let [pan_rad, tilt_rad] = target(&session.manifest, view)?;
     for _ in 0..ATTEMPTS {
         let reached = rig.move_to(pan_rad, tilt_rad);
@@ -173,12 +205,12 @@ fn capture_view(
             reported_deg: [reached.pan_rad.to_degrees(), reached.tilt_rad.to_degrees()],
             settle_s: reached.settle_s,
         };
-        let there = photograph_view(session, view, place, camera, times, interrupted)
-            .and_then(|()| rig.is_there(pan_rad, tilt_rad));
+        let there = photograph_view(session, view, place, camera, exposures, interrupted)
+            .and_then(|doubt| Ok((doubt, rig.is_there(pan_rad, tilt_rad)?)));
         // Also what was told before a failure.
         note(session, rig)?;
-        if there? {
-            return Ok(());
+        if let (doubt, true) = there? {
+            return Ok(doubt);
         }
         // Whoever goes on with the session after a failure must know it, too.
         session.record(Event::ViewMoved { view })?;
@@ -198,8 +230,26 @@ fn note(session: &mut Session, rig: &mut dyn Rig) -> Result<()> {
     rig.take_notices().into_iter().try_for_each(|text| session.notice(text))
 }
 
-/// The recursion "halve the time until no pixel is saturated" (thesis, chapter 7).
+/// Takes what the plan says or, without one, halves; a sentence where it is not what was wished for.
 fn photograph_view(
+    session: &mut Session,
+    view: usize,
+    place: Place,
+    camera: &mut dyn Camera,
+    Exposures { times, planner }: Exposures,
+    interrupted: &dyn Fn() -> Result<()>,
+) -> Result<Option<String>> {
+    if let Some(planner) = planner {
+        match planned::photograph_view(session, view, place, camera, planner, interrupted)? {
+            planned::Outcome::Done(doubt) => return Ok(doubt),
+            planned::Outcome::Unseen => {}
+        }
+    }
+    halve(session, view, place, camera, times, interrupted).map(|()| None)
+}
+
+/// The recursion "halve the time until no pixel is saturated" (thesis, chapter 7).
+fn halve(
     session: &mut Session,
     view: usize,
     place: Place,
@@ -212,7 +262,7 @@ fn photograph_view(
         session.events().iter().any(|event| matches!(event, Event::Exposed(e) if e.view == view));
     for (index, &time) in times.iter().enumerate() {
         interrupted()?;
-        let stem = format!("photographs/{}_{index}", session.manifest.views[view].name);
+        let stem = stem(session, view, index);
         if session.waiting().iter().any(|exposed| exposed.stem == stem) {
             continue;
         }
@@ -226,6 +276,11 @@ fn photograph_view(
         }
     }
     Ok(())
+}
+
+/// The name of a view's photograph without its extension, relative to the session's folder.
+fn stem(session: &Session, view: usize, index: usize) -> String {
+    format!("photographs/{}_{index}", session.manifest.views[view].name)
 }
 
 /// Takes a photograph and tells the journal; `None` where its file comes later.
@@ -314,6 +369,3 @@ fn is_saturated(picture: &Picture) -> bool {
     let top = picture.white - picture.white / 50;
     picture.levels.iter().flatten().any(|&level| level >= top)
 }
-
-#[cfg(test)]
-mod tests;

@@ -10,6 +10,7 @@ use std::path::Path;
 
 use half::f16;
 
+use crate::calibration::{Registration, view_geometry};
 use crate::geometry::{Lens, Pose};
 use crate::parameter_map::ParameterMap;
 use crate::picture::Picture;
@@ -214,16 +215,18 @@ fn beyond_range(levels: &[u16; 3]) -> Mask {
     if levels.contains(&Picture::FLOAT_WHITE) { RadianceImage::SATURATED } else { 0 }
 }
 
-/// Views of a session as references, by index.
+/// Views of a session as references, by index; from where they were registered, if the session was.
 ///
 /// # Errors
 /// [`Error::Input`] when a view's radiance, lens or pose is missing.
 pub fn session_references(session: &Session, views: &[usize]) -> Result<Vec<Reference>> {
+    let registration = Registration::of(session)?;
     let load = |&view: &usize| {
+        let (lens, pose) = view_geometry(session, registration.as_ref(), view)?;
         Ok(Reference {
             name: session.manifest.views[view].name.clone(),
-            lens: *session.manifest.lens(view)?,
-            pose: session.pose(view)?,
+            lens,
+            pose,
             radiance: RadianceImage::read_exr(&session.radiance_path(view))?,
             exposure_known: session.photographs(view).iter().all(|photo| photo.exposure_s.is_some()),
         })

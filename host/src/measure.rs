@@ -263,7 +263,7 @@ fn samples(session: &Session, views: &[usize], step: &(dyn Fn() -> Result<()> + 
 }
 
 /// The photographs of a view with their times.
-fn stack(session: &Session, view: usize) -> Result<Stack> {
+pub(crate) fn stack(session: &Session, view: usize) -> Result<Stack> {
     let photographs = session.photographs(view);
     if photographs.is_empty() {
         return Err(Error::input(

@@ -3,6 +3,7 @@
 mod build;
 mod gain;
 mod map;
+mod place;
 mod sample;
 
 use glam::Vec3;

@@ -20,9 +20,10 @@ pub use collect::collect;
 pub use content::Content;
 pub use event::{Event, Exposed, Photograph, Place, Run};
 pub use journal::Journal;
-pub use manifest::{Manifest, View};
+pub use manifest::{Manifest, Precision, View};
 
 use crate::geometry::Pose;
+use crate::picture::Picture;
 use crate::progress::Progress;
 use crate::{Error, Result, file};
 use lock::Lock;
@@ -153,6 +154,18 @@ impl Session {
     /// The photographs of one view, in the order in which they were taken.
     pub fn photographs(&self, view: usize) -> Vec<&Photograph> {
         self.journal.photographs().filter(|photograph| photograph.view == view).collect()
+    }
+
+    /// Columns and rows of the session's photographs: of the first one that is there.
+    ///
+    /// # Errors
+    /// [`Error::Input`] where it has no photograph or that cannot be read; [`Error::Io`].
+    pub fn picture_size(&self) -> Result<(u32, u32)> {
+        let first = self.journal.photographs().next().ok_or_else(|| {
+            Error::input(&self.folder, "has no photograph", "go on with `rigel capture --resume`")
+        })?;
+        let picture = Picture::read(self.photograph_path(first))?;
+        Ok((picture.width, picture.height))
     }
 
     /// The flat-field photographs of the session, by name; empty where it has none.

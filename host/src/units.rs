@@ -78,6 +78,21 @@ pub fn parse_board(text: &str) -> Result<BoardSize> {
     }
 }
 
+/// Reads a part of something, above 0 and 1 at most: `1%`, `0.01`.
+///
+/// # Errors
+/// [`Error::Request`] for anything else.
+pub fn parse_part(text: &str) -> Result<f64> {
+    let (number, unit) = text.strip_suffix('%').map_or((text, 1.0), |number| (number, 100.0));
+    match number.trim().parse::<f64>() {
+        Ok(number) if number > 0.0 && number <= unit => Ok(number / unit),
+        _ => Err(Error::request(
+            format!("'{text}' is no part of a whole"),
+            "give one above 0 and up to all, such as 1% or 0.01",
+        )),
+    }
+}
+
 /// Writes metres so that [`parse_length_m`] reads the same number: in millimetres where that is so, else in metres.
 pub fn format_length(metres: f64) -> String {
     let millimetres = (metres * 1e6).round() / 1e3;
@@ -120,6 +135,15 @@ mod tests {
         assert_eq!((format_length(0.2).as_str(), format_length(0.15).as_str()), ("200mm", "150mm"));
         for metres in [0.9, 0.123_456, 0.123_456_789_012, 1e-9, 1e-300, 1.0 / 3.0, 1e306] {
             assert_eq!(parse_length_m(&format_length(metres)).unwrap(), metres);
+        }
+    }
+
+    #[test]
+    fn a_part_is_a_percentage_or_a_fraction() {
+        assert_eq!((parse_part("1%").unwrap(), parse_part("99 %").unwrap()), (0.01, 0.99));
+        assert_eq!((parse_part("0.01").unwrap(), parse_part("100%").unwrap()), (0.01, 1.0));
+        for bad in ["0", "0%", "-1%", "101%", "1.5", "%", "nan", "inf%", ""] {
+            assert!(parse_part(bad).is_err(), "{bad}");
         }
     }
 

@@ -252,6 +252,37 @@ fn greeting_and_asking_move_nothing_and_the_first_move_homes() {
 }
 
 #[test]
+fn a_rig_is_there_until_it_restarts_stops_or_stands_elsewhere() {
+    let mut simulated = simulated(60.0, Faults::default());
+    let mut rig = SerialRig::greet(simulated.port_name()).unwrap();
+    assert!(!rig.is_there(0.0, 0.0).unwrap(), "nobody knows before it is homed");
+    rig.move_to(0.5, 0.3).unwrap();
+    assert!(rig.is_there(0.5, 0.3).unwrap() && rig.is_there(0.5, 0.3).unwrap());
+
+    simulated.restart(Restart::Watchdog);
+    rig.take_notices();
+    assert!(!rig.is_there(0.5, 0.3).unwrap());
+    assert!(rig.take_notices().join(" ").contains(RESTARTED));
+    assert!(!rig.is_there(0.5, 0.3).unwrap(), "it is not there before it was sent there again");
+    rig.move_to(0.5, 0.3).unwrap();
+    assert!(rig.is_there(0.5, 0.3).unwrap());
+    assert_at(&simulated, [0.5, 0.3]);
+
+    rig.take_notices();
+    assert!(!rig.is_there(0.6, 0.3).unwrap());
+    let told = rig.take_notices().join(" ");
+    assert!(told.contains("although nobody moved it"), "{told}");
+    // It does not trust itself any more: it homes, although it is told to stay.
+    rig.move_to(0.5, 0.3).unwrap();
+    assert!(rig.is_there(0.5, 0.3).unwrap());
+
+    // Somebody else's hello: the rig has restarted in between and answers, but is lost.
+    simulated.restart(Restart::Power);
+    rig.status().unwrap();
+    assert!(!rig.is_there(0.5, 0.3).unwrap() && !rig.is_there(0.0, 0.0).unwrap());
+}
+
+#[test]
 fn lost_steps_are_told() {
     let simulated = simulated(30.0, Faults::default());
     let mut rig = SerialRig::open(simulated.port_name()).unwrap();
@@ -386,5 +417,5 @@ fn a_wrong_baud_rate_is_named_as_what_it_may_be() {
 fn a_line_that_only_echoes_is_no_rig() {
     let echo = Other::start(<[u8]>::to_vec);
     let error = refused(&echo.name);
-    assert!(error.contains("no answer to Hello"), "{error}");
+    assert!(error.contains("no rig answers") && !error.contains('{'), "{error}");
 }

@@ -147,7 +147,7 @@ fn a_stuck_limit_switch_is_an_error_that_names_it_and_nothing_hangs() {
 fn a_rig_that_says_nothing_is_given_up() {
     let simulated = simulated(Faults { drop_every: 1, ..Faults::default() });
     let error = SerialRig::open(simulated.port_name()).err().unwrap().to_string();
-    assert!(error.starts_with(simulated.port_name()) && error.contains("no answer"), "{error}");
+    assert!(error.starts_with(simulated.port_name()) && error.contains("no rig answers"), "{error}");
 }
 
 #[test]

@@ -2,115 +2,26 @@
 
 #![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
 
+#[path = "survive/fakes.rs"]
+mod fakes;
+#[path = "survive/later.rs"]
+mod later;
+#[path = "survive/restless.rs"]
+mod restless;
+
 use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime};
+use std::time::SystemTime;
 
-use image::ImageEncoder;
-use rigel::camera::{Camera, Shot, exif};
+use rigel::camera::{Camera, Shot};
 use rigel::capture::capture;
-use rigel::geometry::Lens;
 use rigel::progress::Silent;
-use rigel::rig::{Reached, Rig, RigLimits};
-use rigel::session::{Event, Manifest, Session, View, collect};
+use rigel::session::{Event, Session};
 use rigel::{Error, Result};
-use rigel_simulated::camera::{Options, SimulatedCamera};
-use rigel_simulated::scene::Scene;
 
-/// A rig that is where it is sent.
-struct Bench<'a>(&'a Cell<(f64, f64)>);
-
-impl Rig for Bench<'_> {
-    fn limits(&self) -> RigLimits {
-        RigLimits {
-            pan_rad: [-3.2, 3.2],
-            tilt_rad: [0.0, 1.5],
-            speed_rad_s: 1.0,
-            acceleration_rad_s2: 1.0,
-            settle_s: 0.25,
-        }
-    }
-
-    fn move_to(&mut self, pan_rad: f64, tilt_rad: f64) -> Result<Reached> {
-        self.0.set((pan_rad, tilt_rad));
-        Ok(Reached { pan_rad, tilt_rad, settle_s: 0.25 })
-    }
-
-    fn is_there(&mut self, pan_rad: f64, tilt_rad: f64) -> Result<bool> {
-        Ok(self.0.get() == (pan_rad, tilt_rad))
-    }
-
-    fn describe(&self) -> String {
-        "a bench".into()
-    }
-
-    fn take_notices(&mut self) -> Vec<String> {
-        vec!["the cable was out".into()]
-    }
-}
-
-/// A small camera that counts its photographs; those that come later stay with it.
-struct Counting<'a> {
-    eye: SimulatedCamera<Box<dyn Fn() -> (f64, f64) + 'a>>,
-    taken: &'a Cell<usize>,
-    later: bool,
-}
-
-impl Camera for Counting<'_> {
-    fn describe(&self) -> String {
-        self.eye.describe()
-    }
-
-    fn exposure_range_s(&self) -> [f64; 2] {
-        [0.002, 2.0]
-    }
-
-    fn photograph(&mut self, exposure_s: f64, stem: &Path) -> Result<Shot> {
-        self.taken.set(self.taken.get() + 1);
-        if self.later {
-            let at = SystemTime::UNIX_EPOCH + Duration::from_secs(2_000_000_000 + self.taken.get() as u64);
-            return Ok(Shot::Later { exposure_s, at });
-        }
-        self.eye.photograph(exposure_s, stem)
-    }
-
-    fn file_size_bytes(&self) -> u64 {
-        self.eye.file_size_bytes()
-    }
-}
-
-fn manifest() -> Manifest {
-    let view = |index: usize| View {
-        name: format!("view{index:03}"),
-        pan_deg: Some(40.0 * index as f64),
-        tilt_deg: Some(20.0 * index as f64),
-        lens: 0,
-        pose: None,
-    };
-    Manifest {
-        views: (0..3).map(view).collect(),
-        longest_exposure_s: Some(0.02),
-        distance_m: Some(0.9),
-        ..Manifest::new("test")
-    }
-}
-
-/// Where a capture waits for the disk, and there is no disk to wait for.
-fn fast() -> tempfile::TempDir {
-    let memory = Path::new("/dev/shm");
-    if memory.is_dir() { tempfile::tempdir_in(memory).unwrap() } else { tempfile::tempdir().unwrap() }
-}
-
-/// Completes a session; returns how many photographs that took.
-fn complete(session: &mut Session, later: bool) -> Result<usize> {
-    let (at, taken) = (Cell::new((0.0, 0.0)), Cell::new(0));
-    let options = Options { lens: Lens::pinhole(16, 12, 35.0), jpeg_quality: None, ..Options::default() };
-    let eye = SimulatedCamera::new(Scene::patchwork(), options, Box::new(|| at.get()) as Box<_>);
-    capture(session, &mut Bench(&at), &mut Counting { eye, taken: &taken, later }, &Silent)?;
-    Ok(taken.get())
-}
+use fakes::{Bench, CABLE, complete, fast, manifest};
 
 /// An undisturbed session.
 fn undisturbed() -> tempfile::TempDir {
@@ -243,7 +154,7 @@ fn a_photograph_tells_how_it_was_taken() {
     assert_eq!(run.schema, format!("{:08x}", rigel_protocol::SCHEMA));
     assert!(run.rig == "a bench" && run.camera.contains("16x12"), "{run:?}");
     let notices = session.events().iter().filter(|event| match event {
-        Event::Notice { at, text } => text == "the cable was out" && *at >= run.at,
+        Event::Notice { at, text } => text == CABLE && *at >= run.at,
         _ => false,
     });
     assert_eq!(notices.count(), 6, "one for each move and one for each bracket");
@@ -342,83 +253,8 @@ fn a_file_that_a_camera_left_elsewhere_is_not_moved() {
     let precious = folder.path().join("s/photographs/view000_0.png");
     let at = Cell::new((0.0, 0.0));
     let mut session = Session::create(&folder.path().join("other"), manifest()).unwrap();
-    let error =
-        capture(&mut session, &mut Bench(&at), &mut Elsewhere(precious.clone()), &Silent).unwrap_err();
+    let error = capture(&mut session, &mut Bench::new(&at, &[]), &mut Elsewhere(precious.clone()), &Silent)
+        .unwrap_err();
     assert!(matches!(&error, Error::Input { path, .. } if *path == precious), "{error}");
     assert!(precious.is_file());
-}
-
-#[test]
-fn a_camera_that_keeps_its_photographs_exposes_the_whole_bracket_once() {
-    let folder = fast();
-    let path = folder.path().join("s");
-    let mut session = Session::create(&path, manifest()).unwrap();
-    // 0.02 s, halved three times.
-    assert_eq!(complete(&mut session, true).unwrap(), 3 * 4);
-    drop(session);
-    let journal = fs::read(path.join("journal.jsonl")).unwrap();
-    for cut in (0..=journal.len()).step_by(7) {
-        fs::write(path.join("journal.jsonl"), &journal[..cut]).unwrap();
-        let mut session = Session::open(&path).unwrap();
-        let before = session.waiting().len();
-        assert_eq!(complete(&mut session, true).unwrap(), 12 - before, "cut at byte {cut}");
-        let stems: Vec<&str> = session.waiting().iter().map(|exposed| exposed.stem.as_str()).collect();
-        assert_eq!(stems.len(), 12);
-        assert!(stems[0] == "photographs/view000_0" && stems[11] == "photographs/view002_3", "{stems:?}");
-        let error = rigel::measure::measure(&session, &rigel::measure::ResponseChoice::Recover, &Silent);
-        assert!(error.unwrap_err().to_string().contains("12 photographs"), "they are not measured yet");
-    }
-}
-
-/// The files of a camera whose clock is an hour and a quarter of a second late.
-fn develop(session: &Session, folder: &Path) {
-    fs::create_dir(folder).unwrap();
-    for (index, exposed) in session.waiting().iter().enumerate() {
-        let at = exposed.at + Duration::from_millis(3_600_250);
-        let mut bytes = vec![];
-        let mut encoder = image::codecs::png::PngEncoder::new(&mut bytes);
-        encoder.set_exif_metadata(exif::block(exposed.asked_exposure_s, Some(at))).unwrap();
-        encoder.write_image(&[index as u8 * 20; 12], 2, 2, image::ExtendedColorType::Rgb8).unwrap();
-        fs::write(folder.join(format!("dsc{index:04}.png")), bytes).unwrap();
-    }
-}
-
-#[test]
-fn what_a_camera_kept_is_collected_whatever_interrupts_it() {
-    let folder = fast();
-    let (path, card) = (folder.path().join("s"), folder.path().join("card"));
-    let mut session = Session::create(&path, manifest()).unwrap();
-    complete(&mut session, true).unwrap();
-    develop(&session, &card);
-    let originals = files(&card);
-    // One is missing: it cannot be known which, so nothing comes.
-    let journal = fs::read(path.join("journal.jsonl")).unwrap();
-    fs::rename(card.join("dsc0005.png"), folder.path().join("missing.png")).unwrap();
-    let message = collect(&mut session, &card, &Silent).unwrap_err().to_string();
-    assert!(message.contains("12 photographs") && message.contains("11 files"), "{message}");
-    assert_eq!(fs::read(path.join("journal.jsonl")).unwrap(), journal);
-    assert_eq!(fs::read_dir(path.join("photographs")).unwrap().count(), 0);
-    fs::rename(folder.path().join("missing.png"), card.join("dsc0005.png")).unwrap();
-
-    assert_eq!(collect(&mut session, &card, &Silent).unwrap(), 12);
-    drop(session);
-    assert!(files(&card) == originals, "the originals are as they were");
-    let whole = content(&path);
-    assert_eq!(whole.1.len(), 12);
-    for (index, original) in originals.values().enumerate() {
-        let copy = format!("photographs/view{:03}_{}.png", index / 4, index % 4);
-        assert_eq!(whole.0[Path::new(&copy)], *original);
-    }
-    let all = fs::read(path.join("journal.jsonl")).unwrap();
-    for cut in (journal.len()..all.len()).step_by(101) {
-        fs::write(path.join("journal.jsonl"), &all[..cut]).unwrap();
-        let mut session = Session::open(&path).unwrap();
-        let waiting = session.waiting().len();
-        assert_eq!(collect(&mut session, &card, &Silent).unwrap(), waiting);
-        assert_eq!(complete(&mut session, true).unwrap(), 0, "nothing is exposed again");
-        drop(session);
-        assert!(content(&path) == whole, "cut at byte {cut}");
-    }
-    let message = collect(&mut Session::open(&path).unwrap(), &card, &Silent).unwrap_err().to_string();
-    assert!(message.contains("waits for no photographs"), "{message}");
 }

@@ -6,11 +6,13 @@
 //! A record is the header `0`, the station, a status character and the numbers of the output list: position (code 2)
 //! and a quaternion (code 11) or azimuth, elevation, roll (code 4). The driver asks for the list twice in one record
 //! where the tracker obeys: two copies that differ are the only proof of damage that is smaller than the tracker's noise.
+//! Where it does not, the direction cosines (codes 5, 6, 7) say the orientation a second time in other words.
 
 mod ascii;
 mod binary;
 mod checks;
 mod continuity;
+mod cosines;
 mod driver;
 mod ladder;
 mod parser;
@@ -31,13 +33,24 @@ pub struct Layout {
     pub format: Format,
     /// How an orientation is said.
     pub output: Output,
-    /// Whether the list of numbers comes twice in every record.
-    pub twice: bool,
+    /// What else a record says.
+    pub list: List,
+}
+
+/// What else than a position and an orientation a record says, so that damage shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum List {
+    /// Nothing.
+    Once,
+    /// Both a second time.
+    Twice,
+    /// The orientation's direction cosines, column by column. In characters only: no source says how they are packed.
+    Cosines,
 }
 
 impl Layout {
     /// The largest number of bytes of a record.
-    pub const LONGEST: usize = 103;
+    pub const LONGEST: usize = 117;
 
     /// The number of bytes of a record on the line.
     pub const fn length(self) -> usize {
@@ -50,6 +63,11 @@ impl Layout {
         }
     }
 
+    /// Whether every number has a copy.
+    const fn is_proven(self) -> bool {
+        matches!(self.list, List::Twice)
+    }
+
     /// The numbers of one copy: x, y, z and the orientation.
     const fn numbers_once(self) -> usize {
         match self.output {
@@ -59,7 +77,11 @@ impl Layout {
     }
 
     const fn numbers(self) -> usize {
-        self.numbers_once() * if self.twice { 2 } else { 1 }
+        match self.list {
+            List::Once => self.numbers_once(),
+            List::Twice => 2 * self.numbers_once(),
+            List::Cosines => self.numbers_once() + 9,
+        }
     }
 }
 
@@ -70,7 +92,7 @@ pub enum Rejected {
     Header,
     /// A column holds what does not belong there.
     Column,
-    /// Its two copies differ.
+    /// Its two copies differ, or its orientation and the cosines of it.
     Copies,
     /// A position beyond the tracker's range, or an angle or component that cannot be.
     Range,

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use rigel::calibration::BoardSize;
 use rigel::geometry::{Surface, Texels};
-use rigel::units::{parse_board, parse_length_m, parse_surface, parse_texels};
+use rigel::units::{parse_board, parse_length_m, parse_part, parse_surface, parse_texels};
 
 /// Captures how a surface looks from every direction and fits the smallest model that reproduces it.
 #[derive(Parser)]
@@ -35,6 +35,8 @@ pub enum Verb {
     Calibrate(Calibrate),
     /// Turn a session's photographs into radiance: one OpenEXR per view, with variance and mask
     Radiance(Radiance),
+    /// Find where each view was taken from: squares in the radiance and commanded angles make registration.toml
+    Register(Register),
     /// Gather radiance per texel against direction: radiance and poses make an observation map
     Observe(Observe),
     /// Fit a model to every texel: an observation map makes a parameter map
@@ -43,6 +45,15 @@ pub enum Verb {
     Render(Render),
     /// Compare a parameter map with views that it has not seen: a table, CSV and difference pictures
     Evaluate(Evaluate),
+    /// Measure speed against accuracy on simulated devices, and what happens where a method breaks: charts and raw figures
+    Chart(Chart),
+}
+
+#[derive(Args)]
+pub struct Chart {
+    /// Folder for the page, its charts and the raw figures (CSV)
+    #[arg(long, default_value = "rigel-charts")]
+    pub out: PathBuf,
 }
 
 #[derive(Args)]
@@ -84,6 +95,16 @@ pub struct Capture {
     /// The first exposure time of each view, seconds; it is halved until no pixel is saturated
     #[arg(long = "longest-exposure-time", value_name = "SECONDS", default_value_t = 1.0)]
     pub longest_exposure_time_s: f64,
+    /// Take the fewest photographs that measure radiance with this relative error, such as 1%, instead of halving the exposure
+    /// time; a camera whose photographs are collected afterwards gets every view's whole bracket all the same
+    #[arg(long, value_name = "PERCENT", value_parser = parse_part, conflicts_with = "resume")]
+    pub relative_error: Option<f64>,
+    /// The share of the pixels, in each channel, for which --relative-error is wished
+    #[arg(long, value_name = "PERCENT", default_value = "99%", value_parser = parse_part, requires = "relative_error")]
+    pub share: f64,
+    /// The camera's response, a response.csv of `rigel radiance`, for --relative-error [default: learnt from the first view]
+    #[arg(long, value_name = "FILE", requires = "relative_error")]
+    pub response: Option<PathBuf>,
     /// Print views, time and disk space, from a rehearsal on the rig's own firmware; move and photograph nothing
     #[arg(long)]
     pub dry_run: bool,
@@ -283,6 +304,18 @@ pub struct Radiance {
 pub enum ExposureTimes {
     Stated,
     Measured,
+}
+
+#[derive(Args)]
+pub struct Register {
+    /// Folder of the session
+    pub session: PathBuf,
+    /// The black squares around the surface: TOML with size and centres
+    #[arg(long)]
+    pub squares: Option<PathBuf>,
+    /// The lens, as `rigel calibrate` or OpenCV wrote it [default: the session's]
+    #[arg(long)]
+    pub lens: Option<PathBuf>,
 }
 
 #[derive(Args)]

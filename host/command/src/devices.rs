@@ -241,3 +241,31 @@ impl Rig for Reporting {
         self.rig.take_notices()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_photograph_that_the_flash_sync_did_not_confirm_is_an_error() {
+        for (wired, wanted, counts) in
+            [(true, true, true), (true, false, true), (false, false, true), (false, true, false)]
+        {
+            let options = RigOptions { flash_sync: wired, ..Default::default() };
+            let simulated = SimulatedRig::start(options).unwrap();
+            let rig = greet(simulated.port_name()).unwrap();
+            let outcome = shutter(rig.trigger_line(), wanted)(0.01);
+            assert_eq!(simulated.position().photographs().len(), 1);
+            match outcome {
+                Ok(_) => assert!(counts, "flash-sync wired {wired}, wanted {wanted}"),
+                Err(error) => {
+                    let told = error.to_string();
+                    assert!(
+                        !counts && told.contains("did not confirm") && told.contains("--flash-sync"),
+                        "{told}"
+                    );
+                }
+            }
+        }
+    }
+}

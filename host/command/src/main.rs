@@ -27,10 +27,12 @@ fn main() -> ExitCode {
         Verb::Import(arguments) => verbs::import(&arguments),
         Verb::Calibrate(arguments) => verbs::calibrate(&arguments),
         Verb::Radiance(arguments) => verbs::radiance(&arguments),
+        Verb::Register(arguments) => verbs::register(&arguments),
         Verb::Observe(arguments) => verbs::observe(&arguments),
         Verb::Fit(arguments) => verbs::fit(&arguments),
         Verb::Render(arguments) => verbs::render(&arguments),
         Verb::Evaluate(arguments) => verbs::evaluate(&arguments),
+        Verb::Chart(arguments) => verbs::chart(&arguments),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,

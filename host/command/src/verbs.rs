@@ -3,16 +3,20 @@
 mod bench;
 mod calibrate;
 mod capture;
+mod chart;
 mod demo;
 mod fit;
 mod import;
+mod register;
 
 pub use bench::{devices, rig, tracker};
 pub use calibrate::calibrate;
 pub use capture::{capture, collect};
+pub use chart::chart;
 pub use demo::demo;
 pub use fit::{evaluate, fit, render};
 pub use import::{import, observe, radiance};
+pub use register::register;
 
 use std::path::Path;
 

@@ -67,30 +67,15 @@ impl TrackerLog {
     /// [`Error::Io`] when the file cannot be written.
     pub fn start(records: Records, folder: &Path) -> Result<Self> {
         let path = folder.join(TRACKER_FILE);
-        let mut file = whole_lines(&path).map_err(Error::io("write", &path))?;
+        let file = whole_lines(&path).map_err(Error::io("write", &path))?;
         let ended = Arc::new(AtomicBool::new(false));
         let thread = {
             let ended = ended.clone();
             std::thread::spawn(move || {
-                let mut count = 0;
-                loop {
-                    // Looked at first: what came before the end was told is still written.
-                    let last = ended.load(Ordering::Relaxed);
-                    let record = records.next(if last { Duration::ZERO } else { LOOK });
-                    let Some(record) = record else {
-                        if last {
-                            break;
-                        }
-                        continue;
-                    };
-                    let mut line = serde_json::to_vec(&Line::from(record)).unwrap_or_default();
-                    line.push(b'\n');
-                    file.write_all(&line).map_err(Error::io("write", &path))?;
-                    count += 1;
-                }
+                let written = write(|time| records.next(time), file, &path, &ended);
+                // Also where the disk is full: nobody hears it any more.
                 records.switch_off();
-                file.sync_data().map_err(Error::io("write", &path))?;
-                Ok(count)
+                written
             })
         };
         Ok(Self { ended, thread: Some(thread) })
@@ -124,6 +109,32 @@ impl Drop for TrackerLog {
     }
 }
 
+/// Writes records until it has ended and no more come; tells how many.
+fn write(
+    mut next: impl FnMut(Duration) -> Option<TrackerRecord>,
+    mut file: File,
+    path: &Path,
+    ended: &AtomicBool,
+) -> Result<u64> {
+    let mut count = 0;
+    loop {
+        // Looked at first: what came before the end was told is still written.
+        let last = ended.load(Ordering::Relaxed);
+        let Some(record) = next(if last { Duration::ZERO } else { LOOK }) else {
+            if last {
+                break;
+            }
+            continue;
+        };
+        let mut line = serde_json::to_vec(&Line::from(record)).unwrap_or_default();
+        line.push(b'\n');
+        file.write_all(&line).map_err(Error::io("write", path))?;
+        count += 1;
+    }
+    file.sync_data().map_err(Error::io("write", path))?;
+    Ok(count)
+}
+
 /// Opens a file of lines for appending, without the end that is no line.
 fn whole_lines(path: &Path) -> std::io::Result<File> {
     let mut file = OpenOptions::new().read(true).append(true).create(true).open(path)?;
@@ -137,6 +148,61 @@ fn whole_lines(path: &Path) -> std::io::Result<File> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::{DQuat, DVec3};
+    use std::time::Instant;
+
+    fn record(count: u32) -> TrackerRecord {
+        let (position_m, orientation) = (DVec3::ZERO, DQuat::IDENTITY);
+        TrackerRecord {
+            at: UNIX_EPOCH,
+            bound_s: 0.0,
+            count,
+            station: 1,
+            status: b' ',
+            position_m,
+            orientation,
+        }
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_full_disk_ends_the_log_and_is_told_once() {
+        let ended = Arc::new(AtomicBool::new(false));
+        let thread = {
+            let ended = ended.clone();
+            std::thread::spawn(move || {
+                let full = OpenOptions::new().write(true).open("/dev/full").unwrap();
+                let mut count = 0;
+                let next = |_| {
+                    count += 1;
+                    Some(record(count))
+                };
+                write(next, full, Path::new("tracker.jsonl"), &ended)
+            })
+        };
+        let mut log = TrackerLog { ended, thread: Some(thread) };
+        let start = Instant::now();
+        let error = loop {
+            if let Err(error) = log.check() {
+                break error.to_string();
+            }
+            assert!(start.elapsed() < Duration::from_secs(10), "it never says so");
+            std::thread::yield_now();
+        };
+        assert!(error.contains("tracker.jsonl") && error.contains("free some space"), "{error}");
+        assert!(log.check().is_ok());
+        assert_eq!(log.finish().unwrap(), 0);
+    }
+
+    #[test]
+    fn what_came_before_the_end_is_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(TRACKER_FILE);
+        let mut left = vec![record(2), record(1), record(0)];
+        let ended = AtomicBool::new(true);
+        assert_eq!(write(|_| left.pop(), whole_lines(&path).unwrap(), &path, &ended).unwrap(), 3);
+        assert_eq!(std::fs::read_to_string(&path).unwrap().lines().count(), 3);
+    }
 
     #[test]
     fn a_torn_line_is_taken_away_and_whole_ones_stay() {

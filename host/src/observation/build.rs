@@ -10,7 +10,9 @@ use rayon::prelude::*;
 
 use super::gain;
 use super::map::{Header, ObservationMap, ObservedView, VALUES};
+use super::place::PlaceError;
 use super::sample::{Sample, ViewSampler};
+use crate::calibration::{Registration, view_geometry};
 use crate::geometry::Texels;
 use crate::progress::Progress;
 use crate::radiance::RadianceImage;
@@ -27,11 +29,12 @@ pub struct Options {
 /// Texels on a side for the first look, which finds the unit and the gains.
 const COARSE: u32 = 48;
 
-/// Builds the observation map of a session at `path`. Memory: one radiance picture and one view of the map.
+/// Builds the observation map of a session at `path`. A registered session's poses, lens and doubts are used, and the views that
+/// the registration has dropped are left out; any other has the poses of its manifest. Memory: one radiance picture and one view of the map.
 ///
 /// # Errors
 /// [`Error::Input`] when the session lacks radiance, poses, a lens or the surface's size; [`Error::Request`] when no texel was
-/// measured by any view; [`Error::Io`] when the disk is full.
+/// measured by any view; those of [`Registration::of`]; [`Error::Io`] when the disk is full.
 pub fn observe(
     session: &Session,
     path: &Path,
@@ -39,15 +42,19 @@ pub fn observe(
     progress: &dyn Progress,
 ) -> Result<ObservationMap> {
     let surface = session.manifest.surface()?;
-    let views = session.done_views();
+    let registration = Registration::of(session)?;
+    let mut views = session.done_views();
+    if let Some(registration) = &registration {
+        views.retain(|&view| registration.view(&session.manifest.views[view].name).is_some());
+    }
     let total = 2 * views.len();
     let mut observed = vec![];
     let mut coarse: Vec<Vec<Option<Sample>>> = vec![];
     for (step, &view) in views.iter().enumerate() {
         progress.step(step, total)?;
         let texels = Texels { columns: COARSE, rows: COARSE };
-        coarse.push(sample_view(session, view, texels)?);
-        let pose = session.pose(view)?;
+        coarse.push(sample_view(session, registration.as_ref(), view, texels)?);
+        let (_, pose) = view_geometry(session, registration.as_ref(), view)?;
         observed.push(ObservedView {
             name: session.manifest.views[view].name.clone(),
             centre_m: pose.centre_m,
@@ -82,7 +89,7 @@ pub fn observe(
         let start = header.start(&mut out).map_err(Error::io("write", path))?;
         for (index, &view) in views.iter().enumerate() {
             progress.step(views.len() + index, total)?;
-            let samples = sample_view(session, view, options.texels)?;
+            let samples = sample_view(session, registration.as_ref(), view, options.texels)?;
             write_view(&mut out, start, &header, index, &samples).map_err(Error::io("write", path))?;
         }
         out.sync_all().map_err(Error::io("write", path))
@@ -91,13 +98,18 @@ pub fn observe(
     ObservationMap::open(path)
 }
 
-fn sample_view(session: &Session, view: usize, texels: Texels) -> Result<Vec<Option<Sample>>> {
+fn sample_view(
+    session: &Session,
+    registration: Option<&Registration>,
+    view: usize,
+    texels: Texels,
+) -> Result<Vec<Option<Sample>>> {
     let path = session.radiance_path(view);
     if !path.is_file() {
         return Err(Error::input(path, "is missing", "run `rigel radiance` first"));
     }
     let image = RadianceImage::read_exr(&path)?;
-    let (lens, pose) = (session.manifest.lens(view)?, session.pose(view)?);
+    let (lens, pose) = view_geometry(session, registration, view)?;
     if (lens.width, lens.height) != (image.width, image.height) {
         return Err(Error::input(
             &path,
@@ -105,11 +117,14 @@ fn sample_view(session: &Session, view: usize, texels: Texels) -> Result<Vec<Opt
                 "is {}x{} pixels but its lens is for {}x{}",
                 image.width, image.height, lens.width, lens.height
             ),
-            "run `rigel radiance` again, or correct the lens in session.toml",
+            "run `rigel radiance` again, or give the lens of these photographs",
         ));
     }
+    let surface = session.manifest.surface()?;
+    let registered = registration.and_then(|all| all.view(&session.manifest.views[view].name));
+    let place = registered.map(|view| PlaceError::of(view, &lens, &surface));
     let sampler =
-        ViewSampler { image: &image, lens, pose: &pose, surface: session.manifest.surface()?, texels };
+        ViewSampler { image: &image, lens: &lens, pose: &pose, place: place.as_ref(), surface, texels };
     let sample = |index: usize| sampler.sample(index as u32 % texels.columns, index as u32 / texels.columns);
     Ok((0..texels.count()).into_par_iter().map(sample).collect())
 }

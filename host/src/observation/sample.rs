@@ -1,7 +1,8 @@
 //! What one view's radiance picture says of one texel.
 
-use glam::{DVec2, DVec3};
+use glam::{DVec2, DVec3, Vec2};
 
+use super::place::PlaceError;
 use crate::geometry::{Lens, Pose, Surface, Texels};
 use crate::radiance::RadianceImage;
 
@@ -20,6 +21,8 @@ pub(super) struct ViewSampler<'a> {
     pub image: &'a RadianceImage,
     pub lens: &'a Lens,
     pub pose: &'a Pose,
+    /// How far texels may appear from where the pose puts them, where that is known.
+    pub place: Option<&'a PlaceError>,
     pub surface: Surface,
     pub texels: Texels,
 }
@@ -27,6 +30,8 @@ pub(super) struct ViewSampler<'a> {
 impl ViewSampler<'_> {
     /// The texel's radiance: bilinear in the distorted photograph, averaged over the texel where it covers several pixels
     /// (else fine texture would alias). `None` where any of it was not measured (see [`measured`]), is outside the picture, or is seen from behind.
+    ///
+    /// Its variance is that of the pixels plus that of the registration: the gradient of the radiance times the error of the place.
     pub fn sample(&self, column: u32, row: u32) -> Option<Sample> {
         let centre = self.surface.texel_centre(self.texels, column, row);
         if self.pose.centre_m.z <= 0.0 {
@@ -41,21 +46,33 @@ impl ViewSampler<'_> {
             Some((a.distance(b).round() as u32).clamp(1, MOST_POSITIONS))
         };
         let (nx, ny) = (count(half_x)?, count(half_y)?);
-        let (mut radiance, mut variance) = ([0.0; 3], 0.0);
+        let (mut radiance, mut variance, mut gradient) = ([0.0; 3], 0.0, [Vec2::ZERO; 3]);
         for j in 0..ny {
             for i in 0..nx {
                 let offset = half_x * ((2 * i + 1) as f64 / f64::from(nx) - 1.0)
                     + half_y * ((2 * j + 1) as f64 / f64::from(ny) - 1.0);
-                let (r, v) = bilinear(self.image, self.project(centre + offset)?)?;
+                let between = bilinear(self.image, self.project(centre + offset)?)?;
                 for channel in 0..3 {
-                    radiance[channel] += r[channel];
+                    radiance[channel] += between.radiance[channel];
+                    gradient[channel] += between.gradient[channel];
                 }
-                variance += v;
+                variance += between.variance;
             }
         }
         let n = (nx * ny) as f32;
         // The positions are about a pixel apart, so their errors are nearly independent.
-        Some(Sample { radiance: radiance.map(|sum| sum / n), sigma: variance.sqrt() / n })
+        let noise = variance / (n * n);
+        let blur = self.place.map_or(0.0, |place| {
+            let [xx, xy, yy] = place.at(self.texels, column, row);
+            // As the noise, the mean over the channels.
+            gradient
+                .iter()
+                .map(|sum| sum / n)
+                .map(|g| g.x * g.x * xx + 2.0 * g.x * g.y * xy + g.y * g.y * yy)
+                .sum::<f32>()
+                / 3.0
+        });
+        Some(Sample { radiance: radiance.map(|sum| sum / n), sigma: (noise + blur.max(0.0)).sqrt() })
     }
 
     fn project(&self, point_m: DVec3) -> Option<DVec2> {
@@ -63,8 +80,17 @@ impl ViewSampler<'_> {
     }
 }
 
-/// Radiance and mean variance over the channels between four pixels; `None` unless all four were measured.
-fn bilinear(image: &RadianceImage, pixel: DVec2) -> Option<([f32; 3], f32)> {
+/// What lies between four pixels.
+struct Between {
+    radiance: [f32; 3],
+    /// Mean over the channels.
+    variance: f32,
+    /// Per channel, by the pixel.
+    gradient: [Vec2; 3],
+}
+
+/// The picture between four pixels; `None` unless all four were measured.
+fn bilinear(image: &RadianceImage, pixel: DVec2) -> Option<Between> {
     let (x, y) = (pixel.x.floor(), pixel.y.floor());
     if x < 0.0 || y < 0.0 || x + 1.0 >= f64::from(image.width) || y + 1.0 >= f64::from(image.height) {
         return None;
@@ -72,20 +98,21 @@ fn bilinear(image: &RadianceImage, pixel: DVec2) -> Option<([f32; 3], f32)> {
     let (fx, fy) = ((pixel.x - x) as f32, (pixel.y - y) as f32);
     let first = y as usize * image.width as usize + x as usize;
     let below = first + image.width as usize;
-    let (mut radiance, mut variance) = ([0.0; 3], 0.0);
-    for (index, weight) in [
-        (first, (1.0 - fx) * (1.0 - fy)),
-        (first + 1, fx * (1.0 - fy)),
-        (below, (1.0 - fx) * fy),
-        (below + 1, fx * fy),
+    let mut between = Between { radiance: [0.0; 3], variance: 0.0, gradient: [Vec2::ZERO; 3] };
+    for (index, weight, slope) in [
+        (first, (1.0 - fx) * (1.0 - fy), Vec2::new(fy - 1.0, fx - 1.0)),
+        (first + 1, fx * (1.0 - fy), Vec2::new(1.0 - fy, -fx)),
+        (below, (1.0 - fx) * fy, Vec2::new(-fy, 1.0 - fx)),
+        (below + 1, fx * fy, Vec2::new(fy, fx)),
     ] {
         let (pixel, pixel_variance) = measured(image, index)?;
-        for ((sum, value), spread) in radiance.iter_mut().zip(pixel).zip(pixel_variance) {
-            *sum += weight * value;
-            variance += weight * weight * spread / 3.0;
+        for channel in 0..3 {
+            between.radiance[channel] += weight * pixel[channel];
+            between.gradient[channel] += slope * pixel[channel];
+            between.variance += weight * weight * pixel_variance[channel] / 3.0;
         }
     }
-    Some((radiance, variance))
+    Some(between)
 }
 
 /// Radiance and variance of a pixel; `None` where it was not measured.
@@ -135,7 +162,7 @@ mod tests {
         columns: u32,
     ) -> ViewSampler<'a> {
         let texels = Texels { columns, rows: columns * 3 / 4 };
-        ViewSampler { image, lens, pose, surface: SURFACE, texels }
+        ViewSampler { image, lens, pose, place: None, surface: SURFACE, texels }
     }
 
     #[test]
@@ -172,6 +199,19 @@ mod tests {
             fine.sigma,
             coarse.sigma
         );
+    }
+
+    #[test]
+    fn an_uncertain_place_blurs_where_the_radiance_has_a_gradient() {
+        let (mut image, lens, pose) = (ramp(), Lens::pinhole(64, 48, 200.0), Pose::from_rig(0.0, 0.0, 0.9));
+        image.variance.fill([0.0; 3]);
+        // Red grows with x by 1 for each pixel, green with y, blue not at all.
+        let place = PlaceError::constant([0.09, 0.02, 0.25]);
+        for columns in [8, 64] {
+            let sampler = ViewSampler { place: Some(&place), ..sampler(&image, &lens, &pose, columns) };
+            let sample = sampler.sample(columns / 2, columns / 3).unwrap();
+            assert!((sample.sigma.powi(2) - (0.09 + 0.25) / 3.0).abs() < 1e-4, "{sample:?}");
+        }
     }
 
     #[test]

@@ -248,7 +248,15 @@ impl Link {
     fn silent(&self, command: &Command) -> Error {
         let Timing { reply, attempts, .. } = self.0.timing;
         let waited_s = (reply * attempts).as_secs_f64();
-        let nothing = format!("no answer to {command:?} within {waited_s:.1} s, said {attempts} times");
+        let nothing = match command {
+            Command::Hello { .. } => "no rig answers".to_owned(),
+            // Its name alone: what it is made of helps nobody.
+            command => {
+                let words = format!("{command:?}");
+                let name = words.split([' ', '(']).next().unwrap_or_default();
+                format!("no answer to {name} within {waited_s:.1} s, said {attempts} times")
+            }
+        };
         match self.0.ear.amount() {
             (0, _) => self.error(
                 format!("{nothing}: nothing at all is heard there"),

@@ -29,12 +29,32 @@ pub struct Manifest {
     /// The sampled area.
     #[serde(default, skip_serializing_if = "Option::is_none", with = "surface")]
     pub surface: Option<Surface>,
+    /// How precisely every view shall be measured, where exposure times are not simply halved.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub precision: Option<Precision>,
     /// The lenses with which the views were photographed.
     #[serde(rename = "lens", default, skip_serializing_if = "Vec::is_empty")]
     pub lenses: Vec<Lens>,
     /// The views.
     #[serde(rename = "view", default)]
     pub views: Vec<View>,
+}
+
+/// How precisely a view is measured.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Precision {
+    /// The standard deviation of a pixel's radiance in a channel, relative to the radiance.
+    pub relative_error: f64,
+    /// The share of the pixels, each channel by itself, that are measured so well or better.
+    pub share: f64,
+}
+
+impl Default for Precision {
+    /// A hundredth, for 99 of 100 pixels.
+    fn default() -> Self {
+        Self { relative_error: 0.01, share: 0.99 }
+    }
 }
 
 /// One direction from which the surface is photographed.
@@ -65,6 +85,7 @@ impl Manifest {
             source: source.into(),
             distance_m: None,
             longest_exposure_s: None,
+            precision: None,
             surface: None,
             lenses: vec![],
             views: vec![],
@@ -117,6 +138,17 @@ impl Manifest {
                 path,
                 format!("view {} has lens {}, but there are {}", view.name, view.lens, manifest.lenses.len()),
                 "correct the number",
+            ));
+        }
+        if let Some(Precision { relative_error, share }) = manifest.precision
+            && ![relative_error, share].iter().all(|&part| part > 0.0 && part <= 1.0)
+        {
+            return Err(Error::input(
+                path,
+                format!(
+                    "wishes for a relative error of {relative_error} in a share of {share} of the pixels"
+                ),
+                "give numbers above 0, 1 at most",
             ));
         }
         let mut names = BTreeSet::new();

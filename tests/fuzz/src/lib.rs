@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use rigel::session::{Journal, Manifest};
-use rigel_firmware_core::isotrak::{Driver, Layout, Parser, Rejected, TrackerOutput};
+use rigel_firmware_core::isotrak::{Driver, Layout, List, Parser, Rejected, TrackerOutput};
 use rigel_protocol::{Answer, Decoder, LARGEST_FRAME, LARGEST_PAYLOAD, Request, encode, frame};
 use rigel_protocol::{Format, Orientation, Output, Record, Tracking};
 use serde::Serialize;
@@ -120,9 +120,12 @@ pub fn tracker(bytes: &[u8]) {
     let layout = Layout {
         format: if kind & 1 == 0 { Format::Ascii } else { Format::Binary },
         output: if kind & 2 == 0 { Output::Quaternion } else { Output::Euler },
-        twice: kind & 4 != 0,
+        list: [List::Once, List::Twice, List::Cosines][usize::from(kind >> 2) % 3],
     };
-    let stations = 1 + (kind >> 3 & 1);
+    // The cosines come in characters only.
+    let format = if layout.list == List::Cosines { Format::Ascii } else { layout.format };
+    let layout = Layout { format, ..layout };
+    let stations = 1 + (kind >> 7);
     // A byte takes 87 microseconds, and records begin about sixty times per second.
     let mut at_us = 0;
     let stamps: Vec<u64> = stream

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use image::ImageEncoder;
 use rigel::camera::exif;
 use rigel::capture::{TRACKER_FILE, TrackerLine};
-use rigel::rig::SerialRig;
+use rigel::rig::{SerialRig, TrackerState};
 use rigel::session::Session;
 use rigel::tracker::TrackerRecord;
 use rigel_protocol::Record;
@@ -30,9 +30,13 @@ const VIEWS: usize = 30;
 const BRACKET_S: [f64; 2] = [1.0 / 30.0, 1.0 / 60.0];
 /// As `firmware/board/src/rig.rs` has it.
 const STEPS_PER_TURN: f64 = 16_000.0;
-/// One record in so many may be refused by the rig: where the machine is busy QEMU hands over bytes so late that they look
-/// as if they did not belong together.
-const MOST_REFUSED: usize = 10;
+/// A rig that hears a record so much later than its neighbours, seconds, may not believe it; QEMU hands bytes over in time
+/// unless its machine gives it no time to run.
+const STARVED_S: f64 = 0.05;
+/// Where more than one record in so many was heard that late, the machine is too busy to show anything.
+const MOST_STARVED: usize = 10;
+/// How many records before and after a refused one tell whether the machine was busy then.
+const NEIGHBOURS: usize = 8;
 /// Within so many records the rig must have found its way into the tracker's.
 const FIRST_RECORDS: usize = 60;
 /// So many records at most, of sixty in a second, are said after the last that was written.
@@ -67,11 +71,14 @@ fn the_image_captures_thirty_views_while_the_tracker_talks() {
     assert!(output.status.success(), "{told:?}\n{edges:?}");
     let said = tracker.tracker().take_said();
     drop(camera);
+    // Its counts stay when it is switched off: nothing found no room in the rig, and it was never started again.
     let status = SerialRig::greet(&board.port_name).unwrap().tracker().unwrap();
-    assert_eq!((status.overrun, status.restarts), (0, 0), "{status:?}");
+    assert_eq!((status.state, status.overrun, status.restarts), (TrackerState::Off, 0, 0), "{status:?}");
 
     let frames = check_photographs(&folder.path().join("session"), &board.edges());
     let records = check_records(&folder.path().join("session"), &said);
+    let forwarded = status.forwarded as usize;
+    assert!((records..records + LAST_RECORDS).contains(&forwarded), "{records} are written: {status:?}");
     let parts = Image::read(&image).unwrap();
     let stack = parts.deepest_stack(&board.memory(parts.stack_end, parts.stack_start - parts.stack_end));
     println!(
@@ -116,43 +123,64 @@ fn check_photographs(session: &Path, edges: &Edges) -> usize {
     frames
 }
 
-/// Every record is one that the tracker said, unchanged, once and in order, and every one that the rig has believed is there;
-/// tells how many there are.
+/// Every record is one that the tracker said, unchanged, once and in order; every one that the rig has believed is there, with
+/// stamps that grow; and the rig has believed all, unless the machine had no time for it. Tells how many there are.
 fn check_records(session: &Path, said: &[Record]) -> usize {
     let text = fs::read_to_string(session.join(TRACKER_FILE)).unwrap();
     let lines: Vec<TrackerLine> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
-    let said = said.iter().map(|said| {
-        TrackerLine::from(
-            TrackerRecord::new(std::time::UNIX_EPOCH, 0.0, said).expect("no quaternion is zero"),
-        )
-    });
-    let said: Vec<TrackerLine> = said.collect();
+    let as_line = |said: &Record| {
+        let at = std::time::UNIX_EPOCH + Duration::from_micros(said.at_us);
+        TrackerLine::from(TrackerRecord::new(at, 0.0, said).expect("no quaternion is zero"))
+    };
+    let said: Vec<TrackerLine> = said.iter().map(as_line).collect();
     let near = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9);
     let same = |a: &TrackerLine, b: &TrackerLine| {
         (a.station, a.status) == (b.station, b.status)
             && near(&a.position_m, &b.position_m)
             && near(&a.orientation, &b.orientation)
     };
+    assert!(lines.len() > 600, "{} records", lines.len());
     // While the tracker starts, the rig listens in the middle of a record and then doubts what it hears.
     let first = said.iter().take(FIRST_RECORDS).position(|said| same(&lines[0], said));
     let first = first.unwrap_or_else(|| panic!("{:?} is none of the first records", lines[0]));
-    assert!(lines.len() > 600, "{} records", lines.len());
-    let (mut left, mut missing, mut before) = (said[first..].iter(), 0, 0.0);
+    // How late each of the tracker's records was heard, from the first on; `None` where the rig refused it.
+    let mut delays: Vec<Option<f64>> = vec![];
+    let mut before = 0.0;
     for (count, line) in (0..).zip(&lines) {
         assert_eq!(line.count, count, "a record was lost between rig and host");
-        let skipped = left.by_ref().take_while(|said| !same(line, said)).count();
-        assert!(
-            left.len() > 0 || count as usize + 1 == lines.len(),
-            "record {count} was not said, or not then: {line:?}"
-        );
-        missing += skipped;
-        // The host learns the rig's clock better meanwhile, by no more than the bound that it states.
-        assert!(line.at_s + line.bound_s >= before, "record {count} came before the one before it");
+        assert!(line.at_s > before, "record {count} is stamped before the one before it: {line:?}");
         before = line.at_s;
+        let left = &said[first + delays.len()..];
+        let skipped = left.iter().position(|said| same(line, said));
+        let skipped = skipped.unwrap_or_else(|| panic!("record {count} was not said, or not then: {line:?}"));
+        delays.extend(vec![None; skipped]);
+        delays.push(Some(line.at_s - left[skipped].at_s));
     }
-    assert!(left.len() < LAST_RECORDS, "{} records were said after the last that was written", left.len());
-    println!("{missing} records between the first and the last were refused by the rig");
-    assert!(missing <= lines.len() / MOST_REFUSED, "{missing} of {} records were refused", lines.len());
+    let after = said.len() - first - delays.len();
+    assert!(after < LAST_RECORDS, "{after} records were said after the last that was written");
+
+    let earliest = delays.iter().flatten().fold(f64::MAX, |earliest, delay| earliest.min(*delay));
+    let late_s = |delays: &[Option<f64>]| {
+        delays.iter().flatten().fold(0.0, |latest: f64, delay| latest.max(delay - earliest))
+    };
+    let refused: Vec<usize> = (0..delays.len()).filter(|&index| delays[index].is_none()).collect();
+    let starved = delays.iter().flatten().filter(|delay| **delay - earliest > STARVED_S).count();
+    println!(
+        "{} records refused by the rig; {starved} heard late, the latest by {:.0} ms",
+        refused.len(),
+        1e3 * late_s(&delays)
+    );
+    for index in refused {
+        let near = &delays[index.saturating_sub(NEIGHBOURS)..delays.len().min(index + NEIGHBOURS)];
+        assert!(
+            late_s(near) > STARVED_S,
+            "record {index} was refused although its machine had time: {near:?}"
+        );
+    }
+    assert!(
+        starved <= lines.len() / MOST_STARVED,
+        "the machine is too busy: {starved} records were heard late"
+    );
     lines.len()
 }
 

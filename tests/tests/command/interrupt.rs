@@ -13,7 +13,9 @@ use std::process::{Child, Command, Output, Stdio};
 use std::time::Duration;
 
 use rigel::radiance::RadianceImage;
+use rigel::rig::State;
 use rigel::session::Session;
+use rigel_simulated::rig::{RigOptions, SimulatedRig};
 
 use common::{IMPORT, VIEWS, assert_refused, assert_untouched, rigel, snapshot, succeed, workshop};
 
@@ -239,10 +241,20 @@ fn an_observation_map_and_a_fit_leave_what_was_there() {
 }
 
 #[test]
-fn a_rig_that_homes_is_told_to_stop() {
+fn a_rig_that_homes_or_moves_is_told_to_stop_and_stops() {
     let folder = tempfile::tempdir().unwrap();
-    let mut child = start(folder.path(), &["rig", "home", "--rig", "simulated"]);
-    wait_for(&mut child, catches_interrupts);
-    interrupt(&child);
-    assert_interrupted(&child.wait_with_output().unwrap());
+    let turn = &["move", "--pan", "170", "--tilt", "0"][..];
+    for (verb, moving, ends) in
+        [(&["home"][..], State::Homing, State::Lost), (turn, State::Moving, State::Still)]
+    {
+        let simulated = SimulatedRig::start(RigOptions { speed_factor: 3.0, ..Default::default() }).unwrap();
+        let position = simulated.position();
+        let mut child = start(folder.path(), &[&["rig"], verb, &["--rig", simulated.port_name()]].concat());
+        wait_for(&mut child, |_| (position.state() == moving).then_some(()));
+        interrupt(&child);
+        assert_interrupted(&child.wait_with_output().unwrap());
+        // It brakes at the worst; a rig that nobody stopped would be at home or at 170 degrees soon.
+        std::thread::sleep(Duration::from_secs(2));
+        assert_eq!((position.state(), position.moves().len()), (ends, 0));
+    }
 }

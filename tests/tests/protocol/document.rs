@@ -4,10 +4,11 @@ use std::fmt::Write;
 
 use quote::ToTokens;
 use rigel_protocol::{
-    Answer, Bracket, Command, Fault, Format, Halt, Hello, LARGEST_FRAME, LARGEST_PAYLOAD, Limits,
-    Orientation, Output, Record, Reply, Request, Restart, SCHEMA, State, Status, TrackerState, TrackerStatus,
-    Tracking, VERSION, encode,
+    Answer, Bracket, Command, Fault, Format, Halt, Hello, LARGEST_FRAME, LARGEST_PAYLOAD, Orientation,
+    Output, Record, Reply, Request, Restart, SCHEMA, State, Status, TrackerState, TrackerStatus, Tracking,
+    VERSION, encode,
 };
+use rigel_simulated::rig::RigOptions;
 use syn::{Attribute, Expr, Fields, Item, Lit, Meta};
 
 /// What renews the document.
@@ -199,16 +200,7 @@ pub fn requests() -> Vec<Request> {
 
 /// An answer with every reply.
 pub fn answers() -> Vec<Answer> {
-    let limits = Limits {
-        pan_min_mdeg: -180_000,
-        pan_max_mdeg: 180_000,
-        winding_mdeg: 180_000,
-        tilt_min_mdeg: -10_000,
-        tilt_max_mdeg: 90_000,
-        speed_mdeg_s: 60_000,
-        acceleration_mdeg_s2: 120_000,
-        settle_ms: 300,
-    };
+    let limits = RigOptions::default().limits;
     let board = "an example".try_into().expect("a short name");
     let (pan_mdeg, tilt_mdeg) = (90_000, -45_000);
     let replies = [

@@ -5,13 +5,21 @@ use std::io::{Read, Write};
 use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
 
-use rigel_firmware_core::isotrak::{Driver, TrackerOutput};
+use rigel_firmware_core::isotrak::{Driver, List, TrackerOutput};
 use rigel_protocol::{Fault, Format, Output, Record, TrackerState, Tracking};
 use rigel_simulated::tracker::{LineFaults, Mood, Tracker, TrackerOptions, TrackerRunner, gentle};
 
 const S: u64 = 1_000_000;
 const ASCII: Tracking = Tracking { stations: 1, format: Format::Ascii, output: Output::Quaternion };
 const BINARY: Tracking = Tracking { format: Format::Binary, ..ASCII };
+
+/// Everything that a host may ask for.
+const ORDERS: [(Format, Output); 4] = [
+    (Format::Ascii, Output::Quaternion),
+    (Format::Ascii, Output::Euler),
+    (Format::Binary, Output::Quaternion),
+    (Format::Binary, Output::Euler),
+];
 
 /// A driver and a tracker on a line.
 struct Bench {
@@ -130,7 +138,7 @@ impl Bench {
 
 #[test]
 fn every_kind_of_record_comes_complete_and_in_order() {
-    for (format, output) in super::sweep::LAYOUTS {
+    for (format, output) in ORDERS {
         for stations in [1, 2] {
             let options = TrackerOptions { receivers: 2, ..Default::default() };
             let mut bench = Bench::running(options, Tracking { stations, format, output });
@@ -192,14 +200,17 @@ fn a_tracker_in_any_state_is_brought_to_run() {
 }
 
 #[test]
-fn a_tracker_that_knows_no_double_list_is_read_with_a_plain_one() {
+fn a_tracker_that_knows_no_double_list_is_read_with_cosines_or_a_plain_one() {
     for tracking in [ASCII, BINARY] {
-        let mut bench = Bench::new(TrackerOptions { obeys_twice: false, ..Default::default() });
-        bench.track(tracking);
-        bench.run(20 * S);
-        assert_eq!((bench.state(), bench.driver.status().restarts), (TrackerState::Running, 1));
-        bench.assert_all_true();
-        assert!(bench.records.len() > 800);
+        let lists: [&'static [List]; 2] = [&[List::Once, List::Cosines], &[List::Once]];
+        for (obeys, restarts) in lists.into_iter().zip(1..) {
+            let mut bench = Bench::new(TrackerOptions { obeys, ..Default::default() });
+            bench.track(tracking);
+            bench.run(20 * S);
+            assert_eq!((bench.state(), bench.driver.status().restarts), (TrackerState::Running, restarts));
+            bench.assert_all_true();
+            assert!(bench.records.len() > 700);
+        }
     }
 }
 
@@ -285,7 +296,7 @@ fn a_tracker_that_was_switched_off_and_on_runs_again() {
 
 #[test]
 fn out_of_sync_costs_the_records_that_it_hits_and_no_restart() {
-    for (format, output) in super::sweep::LAYOUTS {
+    for (format, output) in ORDERS {
         let faults = LineFaults { dropped: 2e-4, doubled: 2e-4, cut: 2e-4, ..Default::default() };
         let mut bench = Bench::running(TrackerOptions::default(), Tracking { stations: 1, format, output });
         bench.tracker.set_faults(faults);

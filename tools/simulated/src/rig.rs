@@ -4,14 +4,17 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
-use rigel_protocol::{Axis, Limits, Restart, State};
+use rigel_protocol::{Axis, Limits, Record, Restart, State};
 use serialport::SerialPort;
+
+use crate::tracker::TrackerOptions;
 
 use board::Board;
 use wire::Wire;
 
 mod board;
 mod rehearsal;
+mod second_line;
 mod wire;
 
 pub use board::mechanics;
@@ -31,13 +34,15 @@ pub struct RigOptions {
     pub stuck_switch: Option<Axis>,
     /// Whether the camera's flash-sync is wired; it comes as the contact closes.
     pub flash_sync: bool,
+    /// The tracker, whose time passes as fast as the rig's; `None`: none is plugged in.
+    pub tracker: Option<TrackerOptions>,
     /// What goes wrong on the line.
     pub faults: Faults,
 }
 
 impl Default for RigOptions {
     /// Pan ±180°, tilt -10° to 90°, 60°/s, 120°/s², 0.3 s to settle, in real time, perfectly mounted, with a flash-sync,
-    /// without faults.
+    /// without tracker and faults.
     fn default() -> Self {
         let limits = Limits {
             pan_min_mdeg: -180_000,
@@ -55,6 +60,7 @@ impl Default for RigOptions {
             mount_error_rad: 0.0,
             stuck_switch: None,
             flash_sync: true,
+            tracker: None,
             faults: Faults::default(),
         }
     }
@@ -150,6 +156,11 @@ impl RigPosition {
         let mut board = lock(&self.board);
         board.catch_up();
         board.photographs()
+    }
+
+    /// The records that the tracker has truly said since this was last asked, at the rig's time.
+    pub fn take_said(&self) -> Vec<Record> {
+        lock(&self.board).take_said()
     }
 
     /// Turns the axes by so many steps past their motors: the rig does not notice before it homes again.

@@ -3,7 +3,7 @@
 use glam::{DQuat, DVec3};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
-use rigel_firmware_core::isotrak::Layout;
+use rigel_firmware_core::isotrak::{Layout, List};
 use rigel_protocol::{Format, Output, Record};
 
 mod line;
@@ -29,8 +29,8 @@ pub struct TrackerOptions {
     pub position_noise_m: f64,
     /// Standard deviation of the angle about each axis, radians.
     pub angle_noise_rad: f64,
-    /// Whether it obeys a list that asks for every number twice.
-    pub obeys_twice: bool,
+    /// Which lists it obeys; another one leaves the list as it is.
+    pub obeys: &'static [List],
     /// How long it is deaf and mute after it was switched on or reinitialised, seconds.
     pub boot_s: f64,
     /// What goes wrong on its line towards the rig.
@@ -47,7 +47,7 @@ impl Default for TrackerOptions {
             rate_hz: 60.0,
             position_noise_m: 5e-5,
             angle_noise_rad: 5e-4,
-            obeys_twice: true,
+            obeys: &[List::Once, List::Twice, List::Cosines],
             boot_s: 10.0,
             faults: LineFaults::default(),
             seed: 1,
@@ -111,7 +111,7 @@ impl Tracker {
     pub fn new(options: TrackerOptions, motion: Motion) -> Self {
         let line = Line::new(options.faults, options.seed ^ 0x11e);
         let noise = StdRng::seed_from_u64(options.seed);
-        let teller = Teller::new(Layout { format: Format::Ascii, output: Output::Euler, twice: false });
+        let teller = Teller::new(Layout { format: Format::Ascii, output: Output::Euler, list: List::Once });
         Self {
             motion,
             mood: Mood::Good,
@@ -289,15 +289,19 @@ impl Tracker {
             Some(&b"4") => Output::Euler,
             _ => return,
         };
-        let twice = items.len() == 4 && items[..2] == items[2..];
-        if items[0] != b"2" || items.len() != 2 && !twice || twice && !self.options.obeys_twice {
-            return;
+        let list = match &items[2..] {
+            [] => List::Once,
+            again if *again == items[..2] => List::Twice,
+            [b"5", b"6", b"7"] => List::Cosines,
+            _ => return,
+        };
+        if items[0] == b"2" && self.options.obeys.contains(&list) {
+            (self.teller.layout.output, self.teller.layout.list) = (output, list);
         }
-        (self.teller.layout.output, self.teller.layout.twice) = (output, twice);
     }
 
     fn forget(&mut self) {
-        self.teller.layout = Layout { format: Format::Ascii, output: Output::Euler, twice: false };
+        self.teller.layout = Layout { format: Format::Ascii, output: Output::Euler, list: List::Once };
         (self.continuous, self.suspended, self.inches) = (false, false, true);
         self.active = [true, self.options.receivers > 1];
         self.command.clear();

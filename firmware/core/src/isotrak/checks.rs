@@ -2,7 +2,7 @@
 
 use rigel_protocol::{Format, Orientation, Output, Record};
 
-use super::{Layout, Rejected, ascii, binary};
+use super::{Layout, List, Rejected, ascii, binary, cosines, turn};
 
 /// The largest coordinate that the tracker can say: the full scale of its binary records, 166.32 cm.
 const RANGE_UM: i32 = 1_663_200;
@@ -30,9 +30,16 @@ pub(super) fn read(wire: &[u8], layout: Layout, stations: u8, at_us: u64) -> Res
         return Err(Rejected::Header);
     }
     let once = layout.numbers_once();
-    let mut numbers = [[0; 7]; 2];
+    let (mut numbers, mut columns) = ([[0; 7]; 2], [0; 9]);
     for i in 0..layout.numbers() {
         let (copy, place) = (i / once, i % once);
+        if layout.list == List::Cosines && i >= once {
+            let column = fields.get(7 * i..7 * i + 7).unwrap_or_default();
+            if let Some(cosine) = columns.get_mut(i - once) {
+                *cosine = i64::from(ascii::number(column, 4)?) * 100;
+            }
+            continue;
+        }
         let number = match layout.format {
             Format::Ascii => ascii_number(fields.get(7 * i..7 * i + 7).unwrap_or_default(), layout, place)?,
             Format::Binary => binary_number(binary::number(fields, 2 * i), layout, place)?,
@@ -45,7 +52,7 @@ pub(super) fn read(wire: &[u8], layout: Layout, stations: u8, at_us: u64) -> Res
         return Err(Rejected::Column);
     }
     let [[x, y, z, a, b, c, d], second] = numbers;
-    if layout.twice && second != [x, y, z, a, b, c, d] {
+    if layout.list == List::Twice && second != [x, y, z, a, b, c, d] {
         return Err(Rejected::Copies);
     }
     let orientation = match layout.output {
@@ -54,6 +61,13 @@ pub(super) fn read(wire: &[u8], layout: Layout, stations: u8, at_us: u64) -> Res
     };
     let record = Record { count: 0, at_us, station, status, position_um: [x, y, z], orientation };
     possible(&record, layout.format)?;
+    let (q, error) = match record.orientation {
+        Orientation::Quaternion(q) => (q.map(i64::from), cosines::QUATERNION_ERROR),
+        Orientation::Euler(angles) => (turn::quaternion(angles), cosines::EULER_ERROR),
+    };
+    if layout.list == List::Cosines && !cosines::agree(q, error, &columns) {
+        return Err(Rejected::Copies);
+    }
     Ok(record)
 }
 
@@ -118,7 +132,7 @@ fn is_unit(q: [i32; 4], format: Format) -> bool {
 mod tests {
     use super::*;
 
-    const LAYOUT: Layout = Layout { format: Format::Ascii, output: Output::Quaternion, twice: false };
+    const LAYOUT: Layout = Layout { format: Format::Ascii, output: Output::Quaternion, list: List::Once };
     const EULER: Layout = Layout { output: Output::Euler, ..LAYOUT };
 
     fn read_ascii(line: &str, layout: Layout) -> Result<Record, Rejected> {
@@ -162,7 +176,7 @@ mod tests {
 
     #[test]
     fn copies_must_agree() {
-        let twice = Layout { twice: true, ..EULER };
+        let twice = Layout { list: List::Twice, ..EULER };
         let (head, copy) = ("01 ", "   0.89   0.04   1.82 -70.55  41.83 -23.48");
         assert!(read_ascii(&format!("{head}{copy}{copy}"), twice).is_ok());
         let other = copy.replace("0.04", "0.05");

@@ -5,7 +5,7 @@ use rigel_protocol::{Fault, Format, Output, Record, TrackerState, TrackerStatus,
 
 use super::ladder::{self, Step, Wait};
 use super::watch::Watch;
-use super::{Layout, Parser, Verdicts};
+use super::{Layout, List, Parser, Verdicts};
 
 /// A running tracker that says nothing for so long, sixty periods, is silent.
 const SILENT_US: u64 = 1_000_000;
@@ -44,8 +44,8 @@ pub struct Driver {
     count: u32,
     status_due: bool,
     log: Option<&'static str>,
-    /// Whether the next start asks for every number twice.
-    twice: bool,
+    /// For what the next start asks.
+    list: List,
     failures: u8,
     since_us: u64,
     heard_us: u64,
@@ -83,8 +83,13 @@ const STATUS: TrackerStatus = TrackerStatus {
     restarts: 0,
 };
 
-const fn parser(tracking: Tracking, twice: bool) -> Parser {
-    Parser::new(Layout { format: tracking.format, output: tracking.output, twice }, tracking.stations)
+const fn layout(tracking: Tracking, list: List) -> Layout {
+    let format = if matches!(list, List::Cosines) { Format::Ascii } else { tracking.format };
+    Layout { format, output: tracking.output, list }
+}
+
+const fn parser(tracking: Tracking, list: List) -> Parser {
+    Parser::new(layout(tracking, list), tracking.stations)
 }
 
 impl Default for Driver {
@@ -101,13 +106,13 @@ impl Driver {
             sequence: 0,
             phase: Phase::Off,
             status: STATUS,
-            parser: parser(OFF, false),
+            parser: parser(OFF, List::Once),
             records: Deque::new(),
             watch: Watch::new(),
             count: 0,
             status_due: false,
             log: None,
-            twice: true,
+            list: List::Twice,
             failures: 0,
             since_us: 0,
             heard_us: 0,
@@ -119,7 +124,7 @@ impl Driver {
         }
     }
 
-    /// Starts the tracker anew, or switches it off with 0 stations. `sequence` is that of the request.
+    /// Starts the tracker anew, or switches it off with 0 stations: then its counts stay. `sequence` is that of the request.
     ///
     /// # Errors
     /// [`Fault::Senseless`] for more than two stations; nothing has changed then.
@@ -128,8 +133,12 @@ impl Driver {
             return Err(Fault::Senseless);
         }
         let off = tracking.stations == 0;
+        let counts = if off { self.status() } else { STATUS };
         *self = Self { tracking, sequence, since_us: now_us, heard_us: now_us, ..Self::new() };
-        self.parser = parser(tracking, self.twice);
+        // Its parser is a new one.
+        self.skipped = counts.skipped_bytes;
+        self.status = counts;
+        self.parser = parser(tracking, self.list);
         // Off takes the first steps of the ladder too: a return and the end of continuous output.
         self.phase = Phase::Enter(0);
         self.status.state = if off { TrackerState::Off } else { TrackerState::Starting };
@@ -256,9 +265,11 @@ impl Driver {
                     self.phase = Phase::Running;
                     self.since_us = now_us;
                     self.set(TrackerState::Running);
-                    if !self.twice {
-                        self.log = Some("tracker: it lists once only, damage may pass");
-                    }
+                    self.log = match self.list {
+                        List::Twice => None,
+                        List::Cosines => Some("tracker: no copies, a damaged position may pass"),
+                        List::Once => Some("tracker: it lists once only, damage may pass"),
+                    };
                 }
                 Phase::Within(number) => self.wait_ended(number, now_us),
             }
@@ -270,7 +281,7 @@ impl Driver {
     }
 
     fn step(&self, number: u8) -> Step {
-        ladder::step(number, self.tracking, self.twice)
+        ladder::step(number, self.tracking, layout(self.tracking, self.list))
     }
 
     /// A step's time is over: was it what was waited for?
@@ -295,8 +306,14 @@ impl Driver {
         };
         match failure {
             Some(text) => {
-                // Perhaps the list was too long for it.
-                self.twice ^= self.step(number).wait == Wait::Record;
+                // Perhaps the list was not to its liking.
+                if self.step(number).wait == Wait::Record {
+                    self.list = match self.list {
+                        List::Twice => List::Cosines,
+                        List::Cosines => List::Once,
+                        List::Once => List::Twice,
+                    };
+                }
                 self.fail(text);
             }
             None if self.tracking.stations == 0 && number == 1 => self.phase = Phase::Off,
@@ -306,7 +323,7 @@ impl Driver {
 
     fn start_listening(&mut self, now_us: u64) {
         self.refuse_the_rest();
-        self.parser = parser(self.tracking, self.twice);
+        self.parser = parser(self.tracking, self.list);
         self.watch = Watch::new();
         (self.whole, self.heard_us, self.whole_us) = (0, now_us, now_us);
     }
@@ -349,7 +366,7 @@ impl Driver {
         let rest = self.parser.finish();
         self.status.rejected = self.status.rejected.saturating_add(rest.count() as u32);
         self.skipped = self.skipped.saturating_add(self.parser.skipped_bytes());
-        self.parser = parser(self.tracking, self.twice);
+        self.parser = parser(self.tracking, self.list);
     }
 
     fn parse(&mut self, hear: impl FnOnce(&mut Parser) -> Verdicts, at_us: u64) {
@@ -380,14 +397,22 @@ mod tests {
     use super::*;
 
     const ONCE_ONLY: &str = "tracker: it lists once only, damage may pass";
+    const NO_COPIES: &str = "tracker: no copies, a damaged position may pass";
 
     /// What the driver logs about a tracker that sends a record where this is the list that it was told.
     fn logs(list: &[u8]) -> std::vec::Vec<&'static str> {
         let (mut driver, mut now_us, mut obeys, mut logs) = (Driver::new(), 0, false, std::vec::Vec::new());
         let tracking = Tracking { stations: 1, format: Format::Ascii, output: Output::Euler };
         driver.track(tracking, 1, now_us).unwrap();
-        let numbers = "   0.89   0.04   1.82 -70.55  41.83 -23.48";
-        let line = if list == b"O2,4,1\r" { numbers.into() } else { numbers.repeat(2) };
+        let numbers = "   0.89   0.04   1.82   0.00   0.00   0.00";
+        let line = match list {
+            b"O2,4,1\r" => numbers.into(),
+            b"O2,4,5,6,7,1\r" => {
+                let [zero, one] = [" 0.0000", " 1.0000"];
+                format!("{numbers}{one}{zero}{zero}{zero}{one}{zero}{zero}{zero}{one}")
+            }
+            _ => numbers.repeat(2),
+        };
         while driver.status().state != TrackerState::Running || logs.is_empty() && now_us < 3_000_000 {
             now_us = driver.next_us().unwrap().max(now_us + 1_000);
             while let Some(output) = driver.advance(now_us) {
@@ -408,9 +433,11 @@ mod tests {
 
     #[test]
     fn a_list_without_copies_is_told() {
-        assert_eq!(logs(b"O2,4,1\r"), ["tracker: no record came", ONCE_ONLY]);
+        let none = "tracker: no record came";
+        assert_eq!(logs(b"O2,4,5,6,7,1\r"), [none, NO_COPIES]);
+        assert_eq!(logs(b"O2,4,1\r"), [none, none, ONCE_ONLY]);
         assert!(!logs(b"O2,4,2,4,1\r").contains(&ONCE_ONLY));
-        assert!(ONCE_ONLY.len() <= 60);
+        assert!(ONCE_ONLY.len() <= 60 && NO_COPIES.len() <= 60);
     }
 
     #[test]

@@ -2,6 +2,8 @@
 
 use rigel_protocol::{Format, Output, Tracking};
 
+use super::{Layout, List};
+
 /// What is sent, and what is then waited for.
 pub(super) struct Step {
     pub(super) send: &'static [u8],
@@ -35,7 +37,7 @@ pub(super) const REINITIALISE_US: u64 = 20_000_000;
 
 /// The step of this number; the last one waits for a record. The receivers are taken to start in front of the
 /// transmitter (hemisphere of +x).
-pub(super) fn step(number: u8, tracking: Tracking, twice: bool) -> Step {
+pub(super) fn step(number: u8, tracking: Tracking, layout: Layout) -> Step {
     let two = tracking.stations == 2;
     let pause = |send| Step { send, wait: Wait::Pause };
     match number {
@@ -48,25 +50,27 @@ pub(super) fn step(number: u8, tracking: Tracking, twice: bool) -> Step {
         5 => pause(if two { b"b1\rb2\r" } else { b"b1\r" }),
         6 => pause(b"u"),
         7 => pause(if two { b"H1,1,0,0\rH2,1,0,0\r" } else { b"H1,1,0,0\r" }),
-        8 => pause(list(tracking, twice)),
+        8 => pause(list(layout)),
         9 => pause(if two { b"l1,1\rl2,1\r" } else { b"l1,1\rl2,0\r" }),
         10 => Step { send: b"l1\r", wait: Wait::Stations },
-        11 => pause(if tracking.format == Format::Ascii { b"F" } else { b"f" }),
+        11 => pause(if layout.format == Format::Ascii { b"F" } else { b"f" }),
         12 => Step { send: b"", wait: Wait::Quiet },
         _ => Step { send: b"C", wait: Wait::Record },
     }
 }
 
-fn list(tracking: Tracking, twice: bool) -> &'static [u8] {
-    match (tracking.format, tracking.output, twice) {
-        (Format::Ascii, Output::Quaternion, false) => b"O2,11,1\r",
-        (Format::Ascii, Output::Quaternion, true) => b"O2,11,2,11,1\r",
-        (Format::Ascii, Output::Euler, false) => b"O2,4,1\r",
-        (Format::Ascii, Output::Euler, true) => b"O2,4,2,4,1\r",
+fn list(layout: Layout) -> &'static [u8] {
+    match (layout.format, layout.output, layout.list) {
+        (_, Output::Quaternion, List::Cosines) => b"O2,11,5,6,7,1\r",
+        (_, Output::Euler, List::Cosines) => b"O2,4,5,6,7,1\r",
+        (Format::Ascii, Output::Quaternion, List::Once) => b"O2,11,1\r",
+        (Format::Ascii, Output::Quaternion, List::Twice) => b"O2,11,2,11,1\r",
+        (Format::Ascii, Output::Euler, List::Once) => b"O2,4,1\r",
+        (Format::Ascii, Output::Euler, List::Twice) => b"O2,4,2,4,1\r",
         // A binary record needs no end of line: its first byte is marked.
-        (Format::Binary, Output::Quaternion, false) => b"O2,11\r",
-        (Format::Binary, Output::Quaternion, true) => b"O2,11,2,11\r",
-        (Format::Binary, Output::Euler, false) => b"O2,4\r",
-        (Format::Binary, Output::Euler, true) => b"O2,4,2,4\r",
+        (Format::Binary, Output::Quaternion, List::Once) => b"O2,11\r",
+        (Format::Binary, Output::Quaternion, List::Twice) => b"O2,11,2,11\r",
+        (Format::Binary, Output::Euler, List::Once) => b"O2,4\r",
+        (Format::Binary, Output::Euler, List::Twice) => b"O2,4,2,4\r",
     }
 }

@@ -17,7 +17,7 @@ const DOUBT: u8 = 32;
 /// Reads a tracker's bytes and gives out records, each once it is certain to have ended where it should and to agree with
 /// its neighbours.
 ///
-/// A record that surprises, or has another status, waits for the next to bear it out. Where a layout says everything once
+/// A record that surprises, or has another status, waits for the next to bear it out. Where a layout does not say everything twice
 /// the first record waits too, and whole records within half a second of a broken one are refused as
 /// [`Rejected::Doubtful`]. Each station's records come in order; one that waited may come after the other station's.
 pub struct Parser {
@@ -63,7 +63,7 @@ impl Parser {
             doubt: 0,
             skipped: 0,
             whole: 0,
-            courses: [Continuity::new(!layout.twice), Continuity::new(!layout.twice)],
+            courses: [Continuity::new(!layout.is_proven()), Continuity::new(!layout.is_proven())],
         }
     }
 
@@ -157,7 +157,7 @@ impl Parser {
                 let course = if record.station == 2 { &mut self.courses[1] } else { &mut self.courses[0] };
                 let pair = course.judge(record, doubtful);
                 Verdicts(pair.map(|verdict| match verdict {
-                    Some(Ok(_)) if doubtful && !self.layout.twice => Some(Err(Rejected::Doubtful)),
+                    Some(Ok(_)) if doubtful && !self.layout.is_proven() => Some(Err(Rejected::Doubtful)),
                     other => other,
                 }))
             }

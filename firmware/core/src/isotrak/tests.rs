@@ -2,12 +2,12 @@
 
 use rigel_protocol::{Format, Orientation, Output, Record};
 
-use super::{Layout, Parser, Rejected};
+use super::{Layout, List, Parser, Rejected};
 
 const PERIOD_US: u64 = 16_667;
 const BYTE_US: u64 = 87;
-const ONCE: Layout = Layout { format: Format::Ascii, output: Output::Euler, twice: false };
-const TWICE: Layout = Layout { twice: true, ..ONCE };
+const ONCE: Layout = Layout { format: Format::Ascii, output: Output::Euler, list: List::Once };
+const TWICE: Layout = Layout { list: List::Twice, ..ONCE };
 const BINARY: Layout = Layout { format: Format::Binary, ..ONCE };
 
 /// Small noise that never repeats soon.
@@ -32,7 +32,7 @@ fn line(n: u64, x: i32, status: char, layout: Layout) -> Vec<u8> {
         return wire;
     }
     let copy: String = numbers.iter().map(|&number| format!("{:7.2}", f64::from(number) / 100.0)).collect();
-    format!("01{status}{copy}{}\r\n", if layout.twice { &copy } else { "" }).into_bytes()
+    format!("01{status}{copy}{}\r\n", if layout == TWICE { &copy } else { "" }).into_bytes()
 }
 
 /// Pushes bytes that follow each other from `at_us` on.
@@ -158,7 +158,7 @@ fn what_follows_a_broken_line_is_doubtful_where_numbers_stand_once() {
         verdicts.extend(parser.advance(u64::MAX));
         let doubtful = verdicts.iter().filter(|v| **v == Err(Rejected::Doubtful)).count();
         let good = verdicts.iter().filter(|v| v.is_ok()).count();
-        assert_eq!((doubtful, good), if layout.twice { (0, 40) } else { (32, 8) }, "{layout:?}");
+        assert_eq!((doubtful, good), if layout == TWICE { (0, 40) } else { (32, 8) }, "{layout:?}");
     }
 }
 

@@ -45,10 +45,9 @@ pub fn devices() -> Result<()> {
 fn answer(port: &Port) -> String {
     match SerialRig::greet(&port.name) {
         Ok(rig) => rig.describe(),
-        Err(error) => {
-            let text = error.to_string();
-            format!("no rig ({})", text.strip_prefix(&format!("{}: ", port.name)).unwrap_or(&text))
-        }
+        // The remedy is for those who know that a rig is there.
+        Err(Error::Device { what, .. }) => what,
+        Err(error) => error.to_string(),
     }
 }
 
@@ -211,5 +210,27 @@ fn show(summary: &Summary, bound_s: f64) {
             summary.lost,
             bound_s * 1e3
         );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rigel_simulated::rig::{Faults, RigOptions, SimulatedRig};
+
+    fn answer_of(faults: Faults) -> String {
+        let simulated = SimulatedRig::start(RigOptions { faults, ..Default::default() }).unwrap();
+        answer(&Port { name: simulated.port_name().into(), usb: None })
+    }
+
+    #[test]
+    fn a_port_without_a_rig_is_told_in_a_few_words() {
+        let silent = Faults { drop_every: 1, ..Default::default() };
+        assert_eq!(answer_of(silent), "no rig answers: nothing at all is heard there");
+        let stranger = Faults { version: Some(rigel_protocol::VERSION + 1), ..Default::default() };
+        assert!(answer_of(stranger).starts_with("the rig speaks version"));
+        assert!(answer_of(Faults::default()).starts_with("simulated rig on"));
+        let nowhere = answer(&Port { name: "/dev/no-such-port".into(), usb: None });
+        assert!(nowhere.starts_with("cannot open the port: "), "{nowhere}");
     }
 }

@@ -5,15 +5,19 @@ use std::sync::{Mutex, PoisonError};
 use glam::DVec3;
 use rigel::capture::{self, Plan, TrackerLog, add_views, plan};
 use rigel::progress::Progress;
+use rigel::radiance::Response;
 use rigel::sampling::{Stop, icosphere_near, latitude_longitude_near, spiral, stratified, tour};
-use rigel::session::{self, Manifest, Session};
+use rigel::session::{self, Manifest, Precision, Session};
 use rigel::{Error, Result};
 use rigel_simulated::rig::rehearse as rehearsed;
 
-use crate::arguments::{Capture, Collect, SamplingChoice};
+use crate::arguments::{CameraChoice, Capture, Collect, SamplingChoice};
 use crate::devices::{Devices, With};
 use crate::progress::Bar;
 use crate::say::say;
+
+/// So many doubtful views are told of one by one.
+const MOST_TOLD: usize = 5;
 
 /// `rigel capture`.
 pub fn capture(arguments: &Capture) -> Result<()> {
@@ -29,7 +33,9 @@ pub fn capture(arguments: &Capture) -> Result<()> {
         Some(session) => (session.manifest.clone(), session.done_views()),
         None => {
             let directions = directions(arguments)?;
-            (new_manifest(&devices, &directions, arguments.longest_exposure_time_s)?.0, vec![])
+            let mut manifest = new_manifest(&devices, &directions, arguments.longest_exposure_time_s)?.0;
+            manifest.precision = precision(arguments)?;
+            (manifest, vec![])
         }
     };
     let moving_s = if arguments.dry_run { Some(rehearse(&devices, &manifest, &done)?) } else { None };
@@ -41,10 +47,15 @@ pub fn capture(arguments: &Capture) -> Result<()> {
         say(&plan);
         return Ok(());
     }
+    // Read before anything is written.
+    let response = arguments.response.as_deref().map(Response::read_csv).transpose()?;
     let mut session = match begun {
         Some(session) => session,
         None => Session::create(&arguments.session, manifest)?,
     };
+    if let Some(response) = response {
+        response.write_csv(&session.folder().join(capture::RESPONSE_FILE))?;
+    }
     say(&plan);
     if session.flats()?.is_empty() {
         devices.photograph_flats(&mut session)?;
@@ -56,6 +67,13 @@ pub fn capture(arguments: &Capture) -> Result<()> {
     let Watched { bar, log } = progress;
     drop(bar);
     let recorded = log.into_inner().unwrap_or_else(PoisonError::into_inner).map(TrackerLog::finish);
+    let doubts = captured.as_ref().map_or(&[][..], Vec::as_slice);
+    for doubt in doubts.iter().take(MOST_TOLD) {
+        say!("{doubt}");
+    }
+    if doubts.len() > MOST_TOLD {
+        say!("and {} views more, of which the journal tells", doubts.len() - MOST_TOLD);
+    }
     if let Err(error) = captured {
         if let Some(Err(other)) = recorded {
             say!("the tracker's records, too: {other}");
@@ -95,6 +113,18 @@ impl Progress for Watched {
         self.log.lock().unwrap_or_else(PoisonError::into_inner).as_mut().map_or(Ok(()), TrackerLog::check)?;
         self.bar.step(done, total)
     }
+}
+
+/// What the user wishes of every view.
+fn precision(arguments: &Capture) -> Result<Option<Precision>> {
+    if arguments.relative_error.is_some() && matches!(arguments.camera, CameraChoice::Folder(_)) {
+        return Err(Error::request(
+            "whoever fills a folder cannot be told which exposure time comes next",
+            "leave out --relative-error",
+        ));
+    }
+    let share = arguments.share;
+    Ok(arguments.relative_error.map(|relative_error| Precision { relative_error, share }))
 }
 
 /// What the rig's firmware makes of the views: the time of homing and of all moves, settling included, seconds.

@@ -5,10 +5,12 @@ use std::time::Instant;
 
 use rigel_firmware_core::{Controller, Handled, Mechanics, Pins};
 use rigel_protocol::{
-    Answer, Axis, Command, Limits, Reply, Request, Restart, State, TrackerState, TrackerStatus,
+    Answer, Axis, Command, Limits, Record, Reply, Request, Restart, State, TrackerState, TrackerStatus,
 };
 
+use super::second_line::SecondLine;
 use super::{Move, Photograph, RigOptions};
+use crate::tracker::{Tracker, gentle};
 
 /// 200 steps of 16 microsteps and a gear of 75 to 4: a step is 6 thousandths of a degree.
 const STEPS_PER_TURN: u32 = 60_000;
@@ -19,6 +21,16 @@ const BACKLASH_STEPS: u32 = 4;
 const OVERRUN_MDEG: i32 = 5_000;
 /// Where the rig happens to stand when it is switched on, steps.
 const START_STEPS: [i64; 2] = [3_000, 1_200];
+
+/// What is known of a tracker that is not plugged in.
+const NO_TRACKER: TrackerStatus = TrackerStatus {
+    state: TrackerState::Off,
+    forwarded: 0,
+    rejected: 0,
+    skipped_bytes: 0,
+    overrun: 0,
+    restarts: 0,
+};
 
 /// What a simulated rig with these limits is made of.
 ///
@@ -44,6 +56,7 @@ pub fn mechanics(limits: Limits) -> Mechanics {
 pub(super) struct Board {
     controller: Controller,
     bench: Bench,
+    second_line: Option<SecondLine>,
     /// What the core has said and nobody has sent.
     pub said: VecDeque<Answer>,
     /// When the move that goes on began.
@@ -63,6 +76,10 @@ impl Board {
         Some(Self {
             controller: Controller::new("simulated rig", mechanics, Restart::Power)?,
             bench,
+            second_line: options
+                .tracker
+                .clone()
+                .map(|tracker| SecondLine::new(Tracker::new(tracker, gentle()))),
             said: VecDeque::new(),
             began_us: None,
             moves: Vec::new(),
@@ -102,7 +119,16 @@ impl Board {
             self.said.extend(event);
         }
         self.bench.now_us = now_us;
+        if let Some(line) = &mut self.second_line {
+            line.catch_up(now_us, &mut self.said);
+        }
         now_us
+    }
+
+    /// The records that the tracker has truly said since this was last asked.
+    pub fn take_said(&mut self) -> Vec<Record> {
+        self.catch_up();
+        self.second_line.as_mut().map_or(vec![], SecondLine::take_said)
     }
 
     /// Hears a request.
@@ -115,15 +141,13 @@ impl Board {
         }
         let answer = match self.controller.handle(&request, now_us, &mut self.bench) {
             Handled::Answer(answer) => answer,
-            // There is no tracker.
-            Handled::Tracker => self.controller.remember(Reply::Tracker(TrackerStatus {
-                state: TrackerState::Off,
-                forwarded: 0,
-                rejected: 0,
-                skipped_bytes: 0,
-                overrun: 0,
-                restarts: 0,
-            })),
+            Handled::Tracker => {
+                let reply = match &mut self.second_line {
+                    Some(line) => line.reply(&request, now_us),
+                    None => Reply::Tracker(NO_TRACKER),
+                };
+                self.controller.remember(reply)
+            }
         };
         if matches!(request.command, Command::MoveTo { .. }) && self.controller.state() == State::Moving {
             self.began_us.get_or_insert(now_us);

@@ -1,7 +1,7 @@
 //! How a tracker writes a record.
 
-use glam::{DQuat, DVec3, EulerRot};
-use rigel_firmware_core::isotrak::Layout;
+use glam::{DMat3, DQuat, DVec3, EulerRot};
+use rigel_firmware_core::isotrak::{Layout, List};
 use rigel_protocol::{Format, Orientation, Output, Record};
 
 /// Writes records in a layout.
@@ -28,7 +28,10 @@ impl Teller {
             }
         };
         let (said, wire) = match self.layout.format {
-            Format::Ascii => self.columns(station, status, at_m * 100.0, angles),
+            Format::Ascii => {
+                let axes = DMat3::from_quat(orientation).to_cols_array();
+                self.columns(station, status, at_m * 100.0, angles, axes)
+            }
             Format::Binary => self.packed(station, status, at_m * 100.0, angles),
         };
         let [x, y, z, a, b, c, d] = said;
@@ -43,7 +46,14 @@ impl Teller {
         if self.layout.output == Output::Quaternion { 7 } else { 6 }
     }
 
-    fn columns(&self, station: u8, status: u8, at_cm: DVec3, angles: [f64; 4]) -> ([i32; 7], Vec<u8>) {
+    fn columns(
+        &self,
+        station: u8,
+        status: u8,
+        at_cm: DVec3,
+        angles: [f64; 4],
+        axes: [f64; 9],
+    ) -> ([i32; 7], Vec<u8>) {
         let mut said = [0; 7];
         let mut copy = Vec::with_capacity(49);
         let values = at_cm.to_array().into_iter().chain(angles);
@@ -59,8 +69,12 @@ impl Teller {
         }
         let mut wire = vec![b'0', b'0' + station, status];
         wire.extend_from_slice(&copy);
-        if self.layout.twice {
-            wire.extend_from_slice(&copy);
+        match self.layout.list {
+            List::Once => {}
+            List::Twice => wire.extend_from_slice(&copy),
+            List::Cosines => {
+                wire.extend(axes.iter().flat_map(|cosine| column((cosine * 1e4).round() as i32, 4)));
+            }
         }
         wire.extend_from_slice(b"\r\n");
         (said, wire)
@@ -83,7 +97,7 @@ impl Teller {
         }
         let mut plain = vec![b'0', b'0' + station, status];
         plain.extend_from_slice(&copy);
-        if self.layout.twice {
+        if self.layout.list == List::Twice {
             plain.extend_from_slice(&copy);
         }
         let mut wire = Vec::with_capacity(40);
@@ -142,8 +156,8 @@ mod tests {
             (Format::Binary, Output::Euler, 18),
         ];
         for (format, output, length) in lengths {
-            for (twice, length) in [(false, Some(length)), (true, None)] {
-                let layout = Layout { format, output, twice };
+            for (list, length) in [(List::Once, Some(length)), (List::Twice, None)] {
+                let layout = Layout { format, output, list };
                 let (_, wire) = Teller::new(layout).say(2, b' ', DVec3::new(-1.2, 0.3, 0.0), DQuat::IDENTITY);
                 assert_eq!(wire.len(), layout.length());
                 assert!(length.is_none_or(|length| length == wire.len()));

@@ -1,59 +1,16 @@
 //! A rig that does not stand still.
 
-use super::*;
-use crate::camera::Taken;
-use crate::rig::{Reached, RigLimits};
+use std::cell::Cell;
 use std::path::Path;
 
-/// A rig that restarts in the brackets that it is told to.
-struct Restless {
-    /// For every bracket to come: whether it restarts in it.
-    restarts: Vec<bool>,
-    notices: Vec<String>,
-    homings: usize,
-    homed: bool,
-}
+use rigel::camera::{Camera, Shot, Taken};
+use rigel::capture::capture;
+use rigel::picture::Picture;
+use rigel::progress::Silent;
+use rigel::session::{Event, Manifest, Session};
+use rigel::{Error, Result};
 
-impl Restless {
-    fn new(restarts: &[bool]) -> Self {
-        let restarts = restarts.iter().rev().copied().collect();
-        Self { restarts, notices: vec![], homings: 0, homed: false }
-    }
-}
-
-impl Rig for Restless {
-    fn limits(&self) -> RigLimits {
-        RigLimits {
-            pan_rad: [-3.2, 3.2],
-            tilt_rad: [0.0, 1.5],
-            speed_rad_s: 1.0,
-            acceleration_rad_s2: 1.0,
-            settle_s: 0.25,
-        }
-    }
-
-    fn move_to(&mut self, pan_rad: f64, tilt_rad: f64) -> Result<Reached> {
-        self.homings += usize::from(!self.homed);
-        self.homed = true;
-        Ok(Reached { pan_rad, tilt_rad, settle_s: 0.25 })
-    }
-
-    fn is_there(&mut self, _pan_rad: f64, _tilt_rad: f64) -> Result<bool> {
-        if self.restarts.pop().unwrap_or(false) {
-            self.homed = false;
-            self.notices.push("the rig has restarted".into());
-        }
-        Ok(self.homed)
-    }
-
-    fn describe(&self) -> String {
-        "a restless rig".into()
-    }
-
-    fn take_notices(&mut self) -> Vec<String> {
-        std::mem::take(&mut self.notices)
-    }
-}
+use super::fakes::{Bench, RESTARTED, fast, manifest};
 
 /// A camera whose photographs are told apart, each darker than the one before; it fails where it is told to.
 struct Counter {
@@ -88,30 +45,26 @@ impl Camera for Counter {
     }
 }
 
+/// Two views.
 fn session(folder: &Path) -> Session {
-    let view = |index: usize| View {
-        name: format!("view{index:03}"),
-        pan_deg: Some(10.0 * index as f64),
-        tilt_deg: Some(20.0),
-        lens: 0,
-        pose: None,
-    };
-    let views = (0..2).map(view).collect();
+    let views = manifest().views[..2].to_vec();
     let manifest = Manifest { views, longest_exposure_s: Some(1.0), ..Manifest::new("test") };
     Session::create(&folder.join("s"), manifest).unwrap()
 }
 
-fn notices(session: &Session) -> usize {
-    session.events().iter().filter(|event| matches!(event, Event::Notice { .. })).count()
+/// How often the journal says that the rig has restarted.
+fn restarts(session: &Session) -> usize {
+    let told = |event: &&Event| matches!(event, Event::Notice { text, .. } if text == RESTARTED);
+    session.events().iter().filter(told).count()
 }
 
 #[test]
 fn a_view_in_which_the_rig_restarts_is_taken_again() {
-    let folder = tempfile::tempdir().unwrap();
+    let (folder, at) = (fast(), Cell::new((0.0, 0.0)));
     let mut session = session(folder.path());
-    let (mut rig, mut camera) = (Restless::new(&[true, true]), Counter { taken: 0, fails_at: None });
+    let (mut rig, mut camera) = (Bench::new(&at, &[true, true]), Counter { taken: 0, fails_at: None });
     capture(&mut session, &mut rig, &mut camera, &Silent).unwrap();
-    assert_eq!((rig.homings, notices(&session)), (3, 2));
+    assert_eq!((rig.homings, restarts(&session)), (3, 2));
     // Three photographs, then two, then the two that count; and two of the other view.
     assert_eq!(camera.taken, 9);
     let session = Session::open(&folder.path().join("s")).unwrap();
@@ -124,23 +77,23 @@ fn a_view_in_which_the_rig_restarts_is_taken_again() {
 
 #[test]
 fn a_rig_that_never_stands_still_is_an_error_and_its_photographs_do_not_count() {
-    let folder = tempfile::tempdir().unwrap();
+    let (folder, at) = (fast(), Cell::new((0.0, 0.0)));
     let mut session = session(folder.path());
-    let (mut rig, mut camera) = (Restless::new(&[true; 3]), Counter { taken: 0, fails_at: None });
+    let (mut rig, mut camera) = (Bench::new(&at, &[true; 3]), Counter { taken: 0, fails_at: None });
     let error = capture(&mut session, &mut rig, &mut camera, &Silent).unwrap_err().to_string();
-    assert!(error.contains("view000") && error.contains("a restless rig"), "{error}");
+    assert!(error.contains("view000") && error.contains("a bench"), "{error}");
     assert!(session.photographs(0).is_empty() && session.done_views().is_empty());
     let mut camera = Counter { taken: 100, fails_at: None };
-    capture(&mut session, &mut Restless::new(&[]), &mut camera, &Silent).unwrap();
+    capture(&mut session, &mut Bench::new(&at, &[]), &mut camera, &Silent).unwrap();
     assert_eq!((session.done_views().len(), camera.taken), (2, 104));
 }
 
 #[test]
 fn what_a_rig_told_before_a_failure_is_in_the_journal() {
-    let folder = tempfile::tempdir().unwrap();
+    let (folder, at) = (fast(), Cell::new((0.0, 0.0)));
     let mut session = session(folder.path());
-    let mut rig = Restless::new(&[true]);
+    let mut rig = Bench::new(&at, &[true]);
     let mut camera = Counter { taken: 0, fails_at: Some(4) };
     assert!(capture(&mut session, &mut rig, &mut camera, &Silent).is_err());
-    assert_eq!(notices(&session), 1);
+    assert_eq!(restarts(&session), 1);
 }

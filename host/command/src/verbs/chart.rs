@@ -1,0 +1,21 @@
+//! `rigel chart`: the sweeps of the atlas, on one page.
+
+use rigel::report::Report;
+use rigel::{Error, Result, file};
+
+use crate::arguments::Chart;
+use crate::progress::Bar;
+use crate::say::say;
+
+/// `rigel chart`.
+pub fn chart(arguments: &Chart) -> Result<()> {
+    let out = &arguments.out;
+    std::fs::create_dir_all(out).map_err(Error::io("create", out))?;
+    let mut report = Report::new("Rigel: speed, accuracy, and where it breaks");
+    report.facts(rigel_atlas::facts());
+    rigel_atlas::radiance(out, &mut report, &Bar::new("radiance"))?;
+    let page = out.join("index.html");
+    file::write_bytes(&page, report.to_html().as_bytes())?;
+    say!("wrote {}: open {} in a browser", out.display(), page.display());
+    Ok(())
+}

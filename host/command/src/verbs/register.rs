@@ -1,0 +1,54 @@
+//! Where each view was taken from: `register`.
+
+use rigel::calibration::{RegisterOptions, Registration, Squares, register as find};
+use rigel::session::Session;
+use rigel::view_file::Calibration;
+use rigel::{Error, Result};
+
+use crate::arguments::Register;
+use crate::progress::Bar;
+use crate::say::say;
+
+/// `rigel register`.
+pub fn register(arguments: &Register) -> Result<()> {
+    let session = Session::open(&arguments.session)?;
+    let squares = arguments.squares.as_ref().map(|path| Squares::read(path)).transpose()?;
+    let lens = match &arguments.lens {
+        Some(path) => {
+            let calibration = Calibration::read(path, 0.0)?;
+            let (width, height) = session.picture_size()?;
+            Some((calibration.lens(width, height), None))
+        }
+        None => None,
+    };
+    let registration = find(&session, &RegisterOptions { squares, lens }, &Bar::new("registering"))
+        .map_err(|error: Error| error.about(session.folder()))?;
+    registration.write(&session)?;
+    summarise(&registration);
+    say!("wrote {}", Registration::path(&session).display());
+    Ok(())
+}
+
+fn summarise(registration: &Registration) {
+    for view in &registration.dropped {
+        say!("warning: {} is left out: it {}", view.name, view.reason);
+    }
+    let sigma = &registration.deviations;
+    say!(
+        "rig: pan and tilt are off by {:.3} and {:.3} degrees, the picture by {:.2}, {:.2} and {:.2} mm (standard deviations over the views)",
+        sigma.pan_rad.to_degrees(),
+        sigma.tilt_rad.to_degrees(),
+        1e3 * sigma.shift_m[0],
+        1e3 * sigma.shift_m[1],
+        1e3 * sigma.shift_m[2]
+    );
+    let mut directions: Vec<f64> =
+        registration.views.iter().map(|view| view.direction_sigma_rad().to_degrees()).collect();
+    directions.sort_by(f64::total_cmp);
+    if let (Some(middle), Some(worst)) = (directions.get(directions.len() / 2), directions.last()) {
+        say!(
+            "{} views registered: directions are sure to {middle:.3} degrees (median), {worst:.3} at worst",
+            directions.len()
+        );
+    }
+}

@@ -1,0 +1,345 @@
+//! One square in one view: found near where it is expected, then measured by fitting the picture of a square to it.
+
+use glam::DVec2;
+use nalgebra::{SMatrix, SVector};
+
+use super::edge::Quad;
+use super::luminance::Luminance;
+
+/// Corners (x0 y0 ... x3 y3), pixels.
+pub(super) type Corners = SVector<f64, 8>;
+/// Their covariance, pixels².
+pub(super) type CornerCovariance = SMatrix<f64, 8, 8>;
+
+/// A square that was measured.
+#[derive(Debug, Clone)]
+pub(super) struct MeasuredSquare {
+    /// Index in the layout.
+    pub square: usize,
+    /// Where its corners are, in the layout's order.
+    pub corners: Corners,
+    /// How sure that is, by the noise and texture around it.
+    pub covariance: CornerCovariance,
+}
+
+/// Why a square could not be measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Unseen {
+    Outside,
+    NoContrast,
+    NotThere,
+}
+
+/// So far outside the square and so far inside its edges the fit looks, pixels.
+const OUTSIDE_PX: f64 = 3.0;
+const INSIDE_PX: f64 = 6.0;
+/// What the optics' blur is before it is known, and how well: most lenses are sharper than half a pixel.
+const BLUR_PX: f64 = 0.25;
+const BLUR_SIGMA_PX: f64 = 0.25;
+const BLURS_PX: std::ops::RangeInclusive<f64> = 0.05..=4.0;
+const STEPS: usize = 25;
+/// A residual counts in full up to so many standard deviations.
+const HUBER: f64 = 2.5;
+/// A square is at most so bright beside its ground: glare makes it brighter.
+const DARKEST_GROUND: f64 = 0.6;
+/// The model itself is so good beside an edge, relative to the contrast (at its middle).
+const EDGE_ERROR: f64 = 0.06;
+/// Unknowns of a fit: corners, ground (mean and slopes), square, blur.
+const UNKNOWNS: usize = 13;
+
+struct Pixel {
+    at: DVec2,
+    value: f64,
+    variance: f64,
+    covered: f64,
+    by_corners: [f64; 8],
+    by_blur: f64,
+    /// Residual and weight.
+    residual: f64,
+    weight: f64,
+}
+
+/// Measures the square whose corners should be about at `expected`; `ground_from` are the corners of the even ground
+/// around it there.
+pub(super) fn measure_square(
+    picture: &Luminance,
+    square: usize,
+    expected: &[DVec2; 4],
+    ground: &[DVec2; 4],
+) -> Result<MeasuredSquare, Unseen> {
+    let mut corners = *expected;
+    let mut blur_px = BLUR_PX;
+    let mut normal = SMatrix::<f64, UNKNOWNS, UNKNOWNS>::zeros();
+    for step in 0.. {
+        let quad = Quad::new(&corners).ok_or(Unseen::NotThere)?;
+        let shift = mean(&corners) - mean(expected);
+        let ground = Quad::new(&ground.map(|corner| corner + shift)).ok_or(Unseen::NotThere)?;
+        let mut pixels = gather(picture, &corners, &quad, &ground, blur_px)?;
+        let centre = mean(&corners);
+        let levels = weigh(&mut pixels, centre)?;
+        let (matrix, right) = equations(&pixels, centre, &levels, blur_px);
+        normal = matrix;
+        let Some(solved) = matrix.cholesky().map(|factor| factor.solve(&right)) else {
+            return Err(Unseen::NotThere);
+        };
+        let longest = solved.rows(0, 8).amax();
+        let damping = (1.5 / longest).min(1.0);
+        for (i, corner) in corners.iter_mut().enumerate() {
+            *corner += DVec2::new(solved[2 * i], solved[2 * i + 1]) * damping;
+        }
+        blur_px = (blur_px + solved[12] * damping).clamp(*BLURS_PX.start(), *BLURS_PX.end());
+        if longest < 2e-3 || (step >= STEPS && longest < 0.05) {
+            break;
+        }
+        if step >= STEPS || !longest.is_finite() {
+            return Err(Unseen::NotThere);
+        }
+    }
+    // A square that has changed its shape by much is something else.
+    let size = expected[0].distance(expected[2]).max(expected[1].distance(expected[3]));
+    let shift = mean(&corners) - mean(expected);
+    let strain = (0..4).map(|i| (corners[i] - expected[i] - shift).length()).fold(0.0, f64::max);
+    if strain > 0.15 * size + 0.7 || shift.length() > 0.3 * size + 2.0 {
+        return Err(Unseen::NotThere);
+    }
+    let covariance = normal.try_inverse().ok_or(Unseen::NotThere)?.fixed_view::<8, 8>(0, 0).into_owned();
+    Ok(MeasuredSquare { square, corners: vector(&corners), covariance })
+}
+
+pub(super) fn vector(corners: &[DVec2; 4]) -> Corners {
+    Corners::from_fn(|i, _| corners[i / 2][i % 2])
+}
+
+fn mean(corners: &[DVec2; 4]) -> DVec2 {
+    corners.iter().sum::<DVec2>() / 4.0
+}
+
+/// The pixels on and around the square's edges, with what the model says of them.
+fn gather(
+    picture: &Luminance,
+    corners: &[DVec2; 4],
+    quad: &Quad,
+    ground: &Quad,
+    blur_px: f64,
+) -> Result<Vec<Pixel>, Unseen> {
+    let (low, high) = bounds(corners, OUTSIDE_PX + 1.0);
+    if !picture.holds(low, high) {
+        return Err(Unseen::Outside);
+    }
+    let mut pixels = vec![];
+    for y in low.y as usize..=high.y as usize {
+        for x in low.x as usize..=high.x as usize {
+            let at = DVec2::new(x as f64, y as f64);
+            let index = y * picture.width + x;
+            if !(-OUTSIDE_PX..=INSIDE_PX).contains(&quad.depth(at))
+                || ground.depth(at) < 0.0
+                || !picture.variance[index].is_finite()
+            {
+                continue;
+            }
+            let (covered, by_corners) = quad.coverage(at, blur_px);
+            let (more, _) = quad.coverage(at, blur_px * 1.05);
+            pixels.push(Pixel {
+                at,
+                value: f64::from(picture.value[index]),
+                variance: f64::from(picture.variance[index]),
+                covered,
+                by_corners,
+                by_blur: (more - covered) / (0.05 * blur_px),
+                residual: 0.0,
+                weight: 1.0,
+            });
+        }
+    }
+    if pixels.len() > 2 * UNKNOWNS { Ok(pixels) } else { Err(Unseen::NotThere) }
+}
+
+fn bounds(corners: &[DVec2; 4], margin_px: f64) -> (DVec2, DVec2) {
+    let low = corners.iter().copied().reduce(DVec2::min).unwrap_or_default();
+    let high = corners.iter().copied().reduce(DVec2::max).unwrap_or_default();
+    ((low - margin_px).floor(), (high + margin_px).ceil())
+}
+
+/// The ground's radiance with its slopes (per 10 pixels) and the square's: what a pixel would be at coverage 0 and 1.
+type Levels = SVector<f64, 4>;
+
+fn terms(pixel: &Pixel, centre: DVec2) -> Levels {
+    let outside = 1.0 - pixel.covered;
+    let at = (pixel.at - centre) / 10.0;
+    Levels::new(outside, outside * at.x, outside * at.y, pixel.covered)
+}
+
+/// Finds the levels, and from what they leave how much the ground's texture and the square's vary: paper has grain that
+/// no photograph's noise knows of. Residuals and weights are left in the pixels.
+fn weigh(pixels: &mut [Pixel], centre: DVec2) -> Result<Levels, Unseen> {
+    let mut levels = Levels::zeros();
+    for round in 0..4 {
+        let (mut matrix, mut right) = (SMatrix::<f64, 4, 4>::zeros(), Levels::zeros());
+        for pixel in &*pixels {
+            let row = terms(pixel, centre);
+            matrix += row * row.transpose() * pixel.weight;
+            right += row * (pixel.weight * pixel.value);
+        }
+        levels = matrix.cholesky().ok_or(Unseen::NotThere)?.solve(&right);
+        for pixel in &mut *pixels {
+            pixel.residual = pixel.value - terms(pixel, centre).dot(&levels);
+        }
+        if round == 3 {
+            break;
+        }
+        let contrast = (levels[0] - levels[3]).abs();
+        let spread = |part: &dyn Fn(f64) -> bool, otherwise: f64| {
+            let mut sizes: Vec<f64> =
+                pixels.iter().filter(|p| part(p.covered)).map(|p| p.residual.abs()).collect();
+            if sizes.len() < 5 {
+                return otherwise;
+            }
+            let middle = sizes.len() / 2;
+            // Of a normal distribution, the median size is 0.6745 of the standard deviation.
+            *sizes.select_nth_unstable_by(middle, f64::total_cmp).1 / 0.6745
+        };
+        let ground = spread(&|covered| covered < 0.1, 0.1 * contrast).max(1e-3 * contrast);
+        let square = spread(&|covered| covered > 0.9, 0.03 * contrast).max(1e-3 * contrast);
+        for pixel in &mut *pixels {
+            let (inside, outside) = (pixel.covered, 1.0 - pixel.covered);
+            let edge = 4.0 * EDGE_ERROR * contrast * inside * outside;
+            let variance =
+                pixel.variance + (ground * outside).powi(2) + (square * inside).powi(2) + edge * edge;
+            let size = pixel.residual.abs() / variance.sqrt();
+            pixel.weight = (HUBER / size).min(1.0) / variance;
+        }
+    }
+    match levels[3] < DARKEST_GROUND * levels[0] {
+        true => Ok(levels),
+        false => Err(Unseen::NoContrast),
+    }
+}
+
+/// Normal equations of all unknowns together, so that the corners' covariance knows of the others.
+fn equations(
+    pixels: &[Pixel],
+    centre: DVec2,
+    levels: &Levels,
+    blur_px: f64,
+) -> (SMatrix<f64, UNKNOWNS, UNKNOWNS>, SVector<f64, UNKNOWNS>) {
+    let (mut matrix, mut right) =
+        (SMatrix::<f64, UNKNOWNS, UNKNOWNS>::zeros(), SVector::<f64, UNKNOWNS>::zeros());
+    for pixel in pixels {
+        let at = (pixel.at - centre) / 10.0;
+        let difference = levels[3] - (levels[0] + levels[1] * at.x + levels[2] * at.y);
+        let mut row = SVector::<f64, UNKNOWNS>::zeros();
+        for i in 0..8 {
+            row[i] = difference * pixel.by_corners[i];
+        }
+        row.fixed_rows_mut::<4>(8).copy_from(&terms(pixel, centre));
+        row[12] = difference * pixel.by_blur;
+        matrix.syger(pixel.weight, &row, &row, 1.0);
+        right += row * (pixel.weight * pixel.residual);
+    }
+    matrix.fill_upper_triangle_with_lower_triangle();
+    // A corner is known to a few pixels before it is looked at.
+    for i in 0..8 {
+        matrix[(i, i)] += 1e-2;
+    }
+    matrix[(12, 12)] += BLUR_SIGMA_PX.powi(-2);
+    right[12] += (BLUR_PX - blur_px) / BLUR_SIGMA_PX.powi(2);
+    (matrix, right)
+}
+
+/// How a picture of dark squares on bright ground agrees with what is expected.
+pub(super) struct Found {
+    /// Mean correlation over the squares at the best common shift, -1 to 1.
+    pub score: f64,
+    /// Where each square is beside its expected place, pixels.
+    pub shifts: Vec<DVec2>,
+}
+
+/// Looks for the squares within `reach_px` of where they are expected (`None` where one would be outside the picture),
+/// all shifted by about as much: a single dark spot beside a square does not lead astray.
+pub(super) fn find(picture: &Luminance, expected: &[Option<[DVec2; 4]>], reach_px: f64) -> Option<Found> {
+    // Squares of a dozen pixels are enough to look for.
+    let size = expected.iter().flatten().map(|c| c[0].distance(c[2])).fold(0.0, f64::max);
+    let by = ((size / 20.0) as usize).max(1);
+    let reduced;
+    let (picture, scale) = match by {
+        1 => (picture, 1.0),
+        _ => {
+            reduced = picture.reduced(by);
+            (&reduced, by as f64)
+        }
+    };
+    let reach = (reach_px / scale).ceil() as i64;
+    let side = (2 * reach + 1) as usize;
+    let to_reduced = |corner: DVec2| (corner + 0.5) / scale - 0.5;
+    let maps: Vec<Option<Vec<f64>>> = expected
+        .iter()
+        .map(|corners| correlations(picture, &corners.as_ref()?.map(to_reduced), reach))
+        .collect();
+    let seen = maps.iter().flatten().count();
+    if seen == 0 {
+        return None;
+    }
+    let mut sum = vec![0.0; side * side];
+    for map in maps.iter().flatten() {
+        sum.iter_mut().zip(map).for_each(|(sum, value)| *sum += value / seen as f64);
+    }
+    let at = |index: usize| ((index % side) as i64 - reach, (index / side) as i64 - reach);
+    let best = (0..sum.len()).max_by(|&a, &b| sum[a].total_cmp(&sum[b]))?;
+    let (x, y) = at(best);
+    let near = |map: &Option<Vec<f64>>| {
+        let Some(map) = map else { return DVec2::new(x as f64, y as f64) * scale };
+        let close = |&i: &usize| (at(i).0 - x).abs() <= NEAR && (at(i).1 - y).abs() <= NEAR;
+        let own = (0..map.len()).filter(close).max_by(|&a, &b| map[a].total_cmp(&map[b])).unwrap_or(best);
+        DVec2::new(at(own).0 as f64, at(own).1 as f64) * scale
+    };
+    Some(Found { score: sum[best], shifts: maps.iter().map(near).collect() })
+}
+
+/// One square may be so far from where the common shift puts it, (reduced) pixels.
+const NEAR: i64 = 4;
+
+/// The correlation of the picture's square root with the picture of a square, by shift.
+fn correlations(picture: &Luminance, corners: &[DVec2; 4], reach: i64) -> Option<Vec<f64>> {
+    let quad = Quad::new(corners)?;
+    let half_px = corners[0].distance(corners[1]).min(corners[1].distance(corners[2])) / 4.0;
+    let (low, high) = bounds(corners, half_px);
+    let (mut pixels, mut model) = (vec![], vec![]);
+    for y in low.y as i64..=high.y as i64 {
+        for x in low.x as i64..=high.x as i64 {
+            let at = DVec2::new(x as f64, y as f64);
+            if quad.depth(at) > -half_px {
+                pixels.push((x, y));
+                model.push(-quad.coverage(at, 0.5).0);
+            }
+        }
+    }
+    let n = pixels.len() as f64;
+    let mean = model.iter().sum::<f64>() / n;
+    let norm = model.iter().map(|m| (m - mean).powi(2)).sum::<f64>().sqrt();
+    let roots: Vec<f32> = picture.value.iter().map(|value| value.max(0.0).sqrt()).collect();
+    let (width, height) = (picture.width as i64, picture.height as i64);
+    let correlation = |dx: i64, dy: i64| {
+        if low.x as i64 + dx < 0
+            || low.y as i64 + dy < 0
+            || high.x as i64 + dx >= width
+            || high.y as i64 + dy >= height
+        {
+            return 0.0;
+        }
+        let (mut sum, mut squares, mut product) = (0.0, 0.0, 0.0);
+        for (&(x, y), m) in pixels.iter().zip(&model) {
+            let value = f64::from(roots[((y + dy) * width + x + dx) as usize]);
+            sum += value;
+            squares += value * value;
+            product += value * m;
+        }
+        let spread = squares - sum * sum / n;
+        if spread > 0.0 { (product - sum * mean) / (norm * spread.sqrt()) } else { 0.0 }
+    };
+    Some(
+        (-reach..=reach)
+            .flat_map(|dy| (-reach..=reach).map(move |dx| (dx, dy)))
+            .map(|(dx, dy)| correlation(dx, dy))
+            .collect(),
+    )
+}

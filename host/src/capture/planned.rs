@@ -1,0 +1,124 @@
+//! Views whose exposure times are planned instead of halved.
+
+use std::path::PathBuf;
+
+use super::exposure::{Glimpse, Next, Planner};
+use super::{kept, recorded, stem, take};
+use crate::camera::Camera;
+use crate::measure::stack;
+use crate::radiance::{NoiseModel, Response, Samples};
+use crate::session::{Place, Session};
+use crate::{Error, Result};
+
+/// The camera's response in the session's folder, where it was known before.
+pub const RESPONSE_FILE: &str = "camera_response.csv";
+/// From so many views, whose times were halved, the camera is learnt where it was not known.
+const FIRST_VIEWS: usize = 1;
+/// So many views more are asked where the first ones do not tell.
+const MORE_VIEWS: usize = 8;
+
+/// Plans the views of a session that says how precise they shall be; `None` as long as the camera is not known, which is
+/// as long as too few views are done.
+///
+/// # Errors
+/// Those of reading the photographs or the response.
+pub(super) fn planner(session: &Session, halvings_s: &[f64]) -> Result<Option<Planner>> {
+    let Some(precision) = session.manifest.precision else { return Ok(None) };
+    let known: PathBuf = session.folder().join(RESPONSE_FILE);
+    let (response, noise) = if known.is_file() {
+        let response = Response::read_csv(&known)?;
+        let noise = NoiseModel::assumed(&response);
+        (response, noise)
+    } else {
+        let mut views = session.done_views();
+        views.retain(|&view| session.photographs(view).len() > 1);
+        if views.len() < FIRST_VIEWS {
+            return Ok(None);
+        }
+        let (mut samples, mut found) = (Samples::default(), None);
+        for (count, &view) in (1..).zip(views.iter().take(FIRST_VIEWS + MORE_VIEWS)) {
+            samples.add(&stack(session, view)?)?;
+            if count >= FIRST_VIEWS {
+                found = samples.response().ok();
+            }
+            if found.is_some() {
+                break;
+            }
+        }
+        let Some(response) = found else { return Ok(None) };
+        let noise = samples.noise(&response);
+        (response, noise)
+    };
+    Ok(Some(Planner::new(precision, response, noise, halvings_s.to_vec())))
+}
+
+/// Takes the photographs that a view needs and has not yet.
+pub(super) fn photograph_view(
+    session: &mut Session,
+    view: usize,
+    place: Place,
+    camera: &mut dyn Camera,
+    planner: &Planner,
+    interrupted: &dyn Fn() -> Result<()>,
+) -> Result<Outcome> {
+    let mut taken = Vec::new();
+    loop {
+        interrupted()?;
+        let stem = stem(session, view, taken.len());
+        if session.waiting().iter().any(|exposed| exposed.stem == stem) {
+            return Ok(Outcome::Unseen);
+        }
+        let picture = match kept(session, view, &stem)? {
+            Some(picture) => picture,
+            None => match planner.next(&taken) {
+                Next::Expose(time_s) => match take(session, view, &stem, place, camera, time_s)? {
+                    Some(picture) => picture,
+                    None => return Ok(Outcome::Unseen),
+                },
+                Next::Enough(_) => return Ok(Outcome::Done(None)),
+                Next::Best { relative_error, clipped } => {
+                    return Ok(Outcome::Done(Some(doubt(session, view, relative_error, clipped))));
+                }
+            },
+        };
+        planner.check(&picture)?;
+        let Some(photograph) = recorded(session, view, &stem) else {
+            return Err(Error::input(session.folder(), format!("has no word of {stem}"), "start again"));
+        };
+        let exposure_s = photograph.exposure_s.unwrap_or(1.0);
+        taken.push(Glimpse::new(&picture, photograph.asked_exposure_s.unwrap_or(exposure_s), exposure_s));
+    }
+}
+
+/// How a view went.
+pub(super) enum Outcome {
+    /// Its photographs are there; a sentence where they are not all that was wished for.
+    Done(Option<String>),
+    /// The camera keeps its photographs: nobody can tell what is needed.
+    Unseen,
+}
+
+fn doubt(session: &Session, view: usize, relative_error: f64, clipped: bool) -> String {
+    let name = &session.manifest.views[view].name;
+    let wish = session.manifest.precision.unwrap_or_default();
+    let percent = |part: f64| format!("{} %", (part * 1e4).round() / 1e2);
+    let mut text = format!("{name}: ");
+    if relative_error > wish.relative_error {
+        let reached = if relative_error.is_finite() {
+            format!("{} is reached", percent(relative_error))
+        } else {
+            "so many are too dark for the longest exposure time or too bright for the shortest".into()
+        };
+        text += &format!(
+            "a relative error of {} was wished for {} of the pixels and {reached}",
+            percent(wish.relative_error),
+            percent(wish.share)
+        );
+    } else {
+        text += "what was wished for is reached";
+    }
+    if clipped {
+        text += "; some pixels are too bright for the camera's shortest time";
+    }
+    text
+}

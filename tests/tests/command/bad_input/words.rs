@@ -1,0 +1,87 @@
+//! The command line itself.
+
+use super::*;
+
+#[test]
+fn words_that_mean_nothing() {
+    hold(&[
+        Case { spoil: nothing, arguments: &["develop"], names: &["develop", "rigel --help"] },
+        Case {
+            spoil: nothing,
+            arguments: &["radiance", "session", "--speed", "9"],
+            names: &["--speed", "rigel radiance --help"],
+        },
+        Case { spoil: nothing, arguments: &["radiance"], names: &["SESSION", "rigel radiance --help"] },
+        Case { spoil: nothing, arguments: &["fit"], names: &["OBSERVATIONS", "rigel fit --help"] },
+        Case {
+            spoil: nothing,
+            arguments: &["observe", "session", "--texels", "many"],
+            names: &["--texels", "many", "512x512"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["observe", "session", "--texels", "0x5"],
+            names: &["--texels", "0x5"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["import", "photos", "new", "--distance", "900"],
+            names: &["--distance", "900", "unit"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["import", "photos", "new", "--csv", "views.csv", "--colmap", "model"],
+            names: &["--csv", "--colmap"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["import", "photos", "new", "--colmap", "model", "--bracket", "2"],
+            names: &["--bracket", "--colmap"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["capture", "new", "--rig", "/dev/null", "--dry-run"],
+            names: &["/dev/null", "cannot open the port", "cable"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["rig", "status", "--rig", "/dev/no-such-port"],
+            names: &["/dev/no-such-port", "cannot open the port", "cable"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["rig", "move", "--rig", "simulated", "--pan", "400"],
+            names: &["400.000°", "-180.000° to 180.000°"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["tracker", "watch", "--rig", "simulated", "--stations", "3"],
+            names: &["--stations", "3", "rigel tracker --help"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["capture", "new", "--views", "0"],
+            names: &["no views", "at least one"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["capture", "new", "--views", "4000000000"],
+            names: &["4000000000", "at most"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["evaluate", "phong.exr"],
+            names: &["--references", "rigel evaluate --help"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["evaluate", "phong.exr", "--session", "session"],
+            names: &["--views"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["evaluate", "phong.exr", "--session", "session", "--views", "view123"],
+            names: &["session", "view123", "view000"],
+        },
+    ]);
+}

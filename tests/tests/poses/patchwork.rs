@@ -1,0 +1,108 @@
+//! The patchwork capture as a user has it: photographs, boards, flat fields, commanded angles. The truth only scores.
+
+use std::path::{Path, PathBuf};
+
+use rigel::calibration::{RegisteredView, Registration, Squares};
+use rigel::geometry::{Lens, Pose};
+use rigel::measure::{ResponseChoice, measure};
+use rigel::progress::Silent;
+use rigel::session::Session;
+use rigel::session::import::{Options, Source, import};
+use rigel::units::parse_surface;
+use rigel::view_file::Calibration;
+
+/// The capture's layout, which a user knows.
+pub const SQUARES: &str = "size = \"12mm\"\ncentres = [[\"-112mm\", \"-87mm\"], [\"-112mm\", \"87mm\"], [\"112mm\", \"-87mm\"], [\"112mm\", \"87mm\"]]\n";
+
+/// The squares, read from a file as a user would write it.
+pub fn squares(folder: &Path) -> Squares {
+    let path = folder.join("squares.toml");
+    std::fs::write(&path, SQUARES).unwrap();
+    Squares::read(&path).unwrap()
+}
+
+/// Imports the photographs with the commanded angles of `table`.
+pub fn import_patchwork(patchwork: &Path, table: &Path, folder: &Path) -> Session {
+    let options = Options {
+        surface: Some(parse_surface("200mmx150mm").unwrap()),
+        distance_m: Some(0.9),
+        flats: (0..4).map(|i| patchwork.join(format!("calibration/flat{i}.jpg"))).collect(),
+        ..Options::default()
+    };
+    let source = Source::Csv { table: table.into(), photographs: patchwork.join("photos") };
+    let session = import(&source, folder, &options, &Silent).unwrap().session;
+    measure(&session, &ResponseChoice::Recover, &Silent).unwrap();
+    session
+}
+
+/// The board photographs.
+#[allow(dead_code, reason = "not every test calibrates")]
+pub fn boards(patchwork: &Path) -> Vec<PathBuf> {
+    (0..14).map(|i| patchwork.join(format!("calibration/board{i:02}.jpg"))).collect()
+}
+
+/// The lens that OpenCV's calibration finds in the board photographs.
+pub fn lens() -> Lens {
+    Lens {
+        fx: 1349.4967,
+        fy: 1349.4116,
+        cx: 322.5898,
+        cy: 241.1859,
+        k1: -0.644894,
+        k2: 2.317631,
+        p1: -1.127774e-4,
+        p2: -2.846132e-4,
+        ..Lens::pinhole(640, 480, 1349.0)
+    }
+}
+
+/// The poses to score with.
+pub struct Truth(Calibration);
+
+impl Truth {
+    pub fn read(patchwork: &Path) -> Self {
+        // The truth has pixel centres at 0.5.
+        Self(Calibration::read(&patchwork.join("truth/truth.json"), 0.5).unwrap())
+    }
+
+    pub fn pose(&self, name: &str) -> Pose {
+        self.0.pose(name.trim_start_matches("view").parse().unwrap()).unwrap()
+    }
+
+    #[allow(dead_code, reason = "only the swap needs it")]
+    pub fn lens(&self) -> Lens {
+        self.0.lens(640, 480)
+    }
+
+    /// The angle between the true and the found direction of the camera, seen from the surface's origin, degrees.
+    pub fn direction_error_deg(&self, view: &RegisteredView) -> f64 {
+        view.pose.centre_m.angle_between(self.pose(&view.name).centre_m).to_degrees()
+    }
+
+    /// Errors of the direction along its covariance's own axes, in standard deviations.
+    pub fn scores(&self, view: &RegisteredView) -> [f64; 2] {
+        let centre = view.pose.centre_m;
+        let (a, b) = centre.normalize().any_orthonormal_pair();
+        let error = self.pose(&view.name).centre_m - centre;
+        let covariance = |p: glam::DVec3, q: glam::DVec3| {
+            (0..9).map(|i| p[i / 3] * view.covariance[3 + i / 3][3 + i % 3] * q[i % 3]).sum::<f64>()
+        };
+        let (aa, ab, bb) = (covariance(a, a), covariance(a, b), covariance(b, b));
+        let angle = 0.5 * (2.0 * ab).atan2(aa - bb);
+        [angle, angle + std::f64::consts::FRAC_PI_2].map(|angle| {
+            let along = a * angle.cos() + b * angle.sin();
+            error.dot(along) / covariance(along, along).sqrt()
+        })
+    }
+}
+
+/// Median, 95th percentile and maximum of the direction errors (degrees), and the part of the errors within one sigma.
+pub fn summary(truth: &Truth, registration: &Registration) -> [f64; 4] {
+    let mut errors: Vec<f64> =
+        registration.views.iter().map(|view| truth.direction_error_deg(view)).collect();
+    errors.sort_by(f64::total_cmp);
+    let at = |part: f64| errors[(part * (errors.len() - 1) as f64).round() as usize];
+    let scores: Vec<f64> = registration.views.iter().flat_map(|view| truth.scores(view)).collect();
+    let within = scores.iter().filter(|score| score.abs() < 1.0).count() as f64 / scores.len() as f64;
+    [at(0.5), at(0.95), at(1.0), within]
+}
