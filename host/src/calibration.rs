@@ -5,5 +5,7 @@ pub mod lens;
 pub mod vignetting;
 
 pub use chessboard::{BoardCorner, BoardSize, Sighting, find_board};
-pub use lens::{BoardView, LensCalibration, LensCovariance, LensModel, calibrate_lens, calibrate_photographs};
+pub use lens::{
+    BoardView, LensCalibration, LensCovariance, LensModel, calibrate_lens, calibrate_photographs,
+};
 pub use vignetting::Vignetting;

@@ -43,11 +43,13 @@ pub(super) fn grids(search: &Search, corners: &[Corner], least: usize) -> Vec<Gr
         let other = links[i][edge]?;
         (0..4).find(|&back| links[other][back] == Some(i)).map(|back| (other, back))
     };
-    let length = |i: usize, edge: usize| back(i, edge).map(|(other, _)| corners[i].at.distance(corners[other].at));
+    let length =
+        |i: usize, edge: usize| back(i, edge).map(|(other, _)| corners[i].at.distance(corners[other].at));
     // A neighbour is not much farther away than the one on the other side, or those across: where the board ends, something behind it
     // may fit by chance.
     let near = |i: usize, edge: usize, far: f64| {
-        let across = [1, 3].into_iter().filter_map(|turn| length(i, (edge + turn) % 4)).fold(f64::INFINITY, f64::min);
+        let across =
+            [1, 3].into_iter().filter_map(|turn| length(i, (edge + turn) % 4)).fold(f64::INFINITY, f64::min);
         far <= 1.8 * length(i, (edge + 2) % 4).unwrap_or(f64::INFINITY) && far <= 4.0 * across
     };
     let mutual = |i: usize, edge: usize| {
@@ -187,7 +189,8 @@ fn grow(search: &Search, grid: &mut Grid) {
             .collect();
         let mut added = false;
         for place in around {
-            let neighbours = STEPS.iter().filter(|s| grid.contains_key(&(place.0 + s.0, place.1 + s.1))).count();
+            let neighbours =
+                STEPS.iter().filter(|s| grid.contains_key(&(place.0 + s.0, place.1 + s.1))).count();
             // A place is asked again only when it has got more neighbours.
             if grid.contains_key(&place) || tried.get(&place).is_some_and(|before| *before >= neighbours) {
                 continue;
@@ -227,7 +230,8 @@ fn drop_misfits(grid: &mut Grid) {
     let shifted = |place: Place, (dx, dy): Place| (place.0 + dx, place.1 + dy);
     loop {
         let at = |place: Place| grid.get(&place).map(|cell| cell.corner.at);
-        let friends = |place: Place| STEPS.iter().filter(|step| grid.contains_key(&shifted(place, **step))).count();
+        let friends =
+            |place: Place| STEPS.iter().filter(|step| grid.contains_key(&shifted(place, **step))).count();
         let mut worst = (0.35, (0, 0));
         for place in grid.keys() {
             for (dx, dy) in [(1, 0), (0, 1)] {
