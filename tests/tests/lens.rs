@@ -5,6 +5,7 @@
 use std::path::{Path, PathBuf};
 
 use glam::DVec2;
+use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rigel::calibration::{
     BoardCorner, BoardSize, BoardView, LensModel, Sighting, calibrate_lens, calibrate_photographs, find_board,
@@ -79,7 +80,10 @@ fn every_board_of_opencv_s_sample_gives_opencv_s_lens() {
     assert_eq!((found.boards.len(), &found.dropped[..]), (13, &[][..]));
     assert!(found.boards.iter().all(|board| board.corners.len() == 54));
     assert!(found.rms_px <= 0.41, "{}", found.rms_px);
-    assert!((found.lens.fx - 536.07).abs() < 1.0, "{}", found.lens.fx);
+    // OpenCV's cornerSubPix gives 532.4, 532.8 and 533.0 with windows of 3, 5 and 8 pixels to either side, at 0.23, 0.20 and 0.18 px RMS. The
+    // 536.07 that is often quoted has a window of 11, which reaches the neighbours in the narrow boards: corners are up to 6 px off there.
+    assert!((found.lens.fx - 533.0).abs() < 1.0, "{}", found.lens.fx);
+    assert!(found.rms_px <= 0.18, "{}", found.rms_px);
 }
 
 #[test]
@@ -110,4 +114,136 @@ fn simulated_boards_are_found_to_a_few_hundredths_of_a_pixel() {
     let rms = f64::sqrt(square / count);
     println!("RMS {rms:.4} px");
     assert!(rms < 0.06, "{rms}");
+}
+
+#[test]
+fn boards_are_found_blurred_clipped_faint_and_in_part() {
+    let lens = lens();
+    let looks = [
+        Look { blur_px: 2.5, ..Look::default() },
+        Look { exposure: 1.5, ..Look::default() },
+        Look { exposure: 0.12, ..Look::default() },
+        Look { blur_px: 0.0, noise: 8.0, ..Look::default() },
+    ];
+    for look in looks {
+        for board in strew(&lens, 9, 6, 4, 2) {
+            let picture = board.photograph(&lens, &look);
+            let Sighting::Whole(corners) = find_board(&picture, NINE_BY_SIX) else { panic!("{look:?}") };
+            let error = error_px(&corners, &board.corners(&lens).unwrap(), NINE_BY_SIX);
+            println!("{look:?}: {error:.4} px");
+            assert!(error < 0.1, "{look:?}: {error}");
+        }
+    }
+    // Half of the board is beyond the picture's edge.
+    let board = strew(&lens, 9, 6, 1, 2)[0];
+    let whole = board.photograph(&lens, &Look::default());
+    let middle = board.pixel(&lens, 4.4, 2.5).unwrap().x as u32;
+    let cut = |row: &[[u16; 3]]| row[..middle as usize].to_vec();
+    let levels = whole.levels.chunks(640).flat_map(cut).collect();
+    let half = Picture { width: middle, levels, ..whole };
+    let Sighting::Part(corners) = find_board(&half, NINE_BY_SIX) else { panic!("half a board") };
+    assert!((24..=30).contains(&corners.len()), "{}", corners.len());
+    let truth = board.corners(&lens).unwrap();
+    for corner in &corners {
+        let nearest = truth.iter().map(|at| at.distance(corner.pixel)).fold(f64::INFINITY, f64::min);
+        assert!(nearest < 0.2, "{corner:?} is {nearest} px off");
+    }
+}
+
+#[test]
+fn a_mirrored_camera_gives_the_mirrored_lens() {
+    let lens = lens();
+    let (mut views, mut mirrored) = (vec![], vec![]);
+    for board in strew(&lens, 9, 6, 10, 4) {
+        let picture = board.photograph(&lens, &Look { noise: 0.0, ..Look::default() });
+        let flipped = picture.levels.chunks(640).flat_map(|row| row.iter().rev().copied()).collect();
+        let flipped = Picture { levels: flipped, ..picture.clone() };
+        for (picture, views) in [(&picture, &mut views), (&flipped, &mut mirrored)] {
+            let Sighting::Whole(corners) = find_board(picture, NINE_BY_SIX) else { panic!("not found") };
+            views.push(BoardView { path: "board.png".into(), corners });
+        }
+    }
+    let of =
+        |views: &[BoardView]| calibrate_lens(views, (640, 480), 0.03, Some(LensModel::K1K2)).unwrap().lens;
+    let (straight, mirror) = (of(&views), of(&mirrored));
+    assert!((straight.fx - mirror.fx).abs() < 0.1, "{} {}", straight.fx, mirror.fx);
+    assert!((straight.cx - (639.0 - mirror.cx)).abs() < 0.1, "{} {}", straight.cx, mirror.cx);
+}
+
+#[test]
+fn the_predicted_uncertainty_is_that_of_two_thousand_calibrations() {
+    const TRIALS: usize = 2000;
+    const SIGMA_PX: f64 = 0.1;
+    let lens = lens();
+    let boards = strew(&lens, 9, 6, 10, 5);
+    let pixels =
+        [(320.0, 240.0), (60.0, 60.0), (580.0, 60.0), (60.0, 420.0), (580.0, 420.0)].map(DVec2::from);
+    let directions = pixels.map(|pixel| lens.unproject(pixel).unwrap());
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let run = |thread: usize| {
+        let mut sums = vec![[0.0; 6]; pixels.len()];
+        for trial in (thread..TRIALS).step_by(threads) {
+            let mut random = StdRng::seed_from_u64(trial as u64);
+            let views: Vec<BoardView> =
+                boards.iter().map(|board| noisy(board, &lens, SIGMA_PX, &mut random)).collect();
+            let found = calibrate_lens(&views, (640, 480), 1.0, Some(LensModel::All)).unwrap();
+            for (k, sum) in sums.iter_mut().enumerate() {
+                let off = found.lens.project(directions[k]).unwrap() - pixels[k];
+                let [[a, b], [_, d]] = found.projection_covariance(pixels[k]).unwrap();
+                for (sum, value) in sum.iter_mut().zip([off.x * off.x, off.x * off.y, off.y * off.y, a, b, d])
+                {
+                    *sum += value / TRIALS as f64;
+                }
+            }
+        }
+        sums
+    };
+    let parts: Vec<Vec<[f64; 6]>> = std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..threads).map(|thread| scope.spawn(move || run(thread))).collect();
+        threads.into_iter().map(|thread| thread.join().unwrap()).collect()
+    });
+    for (k, pixel) in pixels.iter().enumerate() {
+        let sum = |i: usize| parts.iter().map(|part| part[k][i]).sum::<f64>();
+        let ([sxx, sxy, syy], [pxx, pxy, pyy]) = ([0, 1, 2].map(sum), [3, 4, 5].map(sum));
+        // The eigenvalues of the sampled covariance in units of the predicted one.
+        let determinant = pxx * pyy - pxy * pxy;
+        let trace = (sxx * pyy - 2.0 * sxy * pxy + syy * pxx) / determinant;
+        let product = (sxx * syy - sxy * sxy) / determinant;
+        let root = (0.25 * trace * trace - product).max(0.0).sqrt();
+        let eigenvalues = [0.5 * trace - root, 0.5 * trace + root];
+        println!(
+            "{pixel}: sampled / predicted {eigenvalues:.3?}, sigma {:.3} {:.3} px",
+            pxx.sqrt(),
+            pyy.sqrt()
+        );
+        assert!(eigenvalues.iter().all(|value| (0.9..1.1).contains(value)), "{pixel}: {eigenvalues:?}");
+    }
+}
+
+#[test]
+fn the_patchwork_s_lens_is_within_its_uncertainty() {
+    let Some(folder) = data("multiview/patchwork/calibration") else { return };
+    let paths = photographs(&folder, "board");
+    let found = calibrate_photographs(&paths, NINE_BY_SIX, 0.018, None, &Silent).unwrap();
+    let text = std::fs::read_to_string(folder.with_file_name("truth").join("truth.json")).unwrap();
+    let truth: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let number = |name: &str| truth[name].as_f64().unwrap_or(0.0);
+    let lens = found.lens;
+    let pairs = [
+        ("fx", lens.fx, number("fx")),
+        ("fy", lens.fy, number("fy")),
+        ("cx", lens.cx, number("cx") - 0.5),
+        ("cy", lens.cy, number("cy") - 0.5),
+        ("k1", lens.k1, number("k1")),
+        ("k2", lens.k2, number("k2")),
+        ("p1", lens.p1, number("p1")),
+        ("p2", lens.p2, number("p2")),
+        ("k3", lens.k3, 0.0),
+    ];
+    println!("{:?}, RMS {:.4} px; {}", found.model, found.rms_px, found.verdict);
+    assert_eq!(found.boards.len(), 14);
+    for ((name, value, truth), sigma) in pairs.into_iter().zip(found.sigmas()) {
+        println!("{name} {value:.5}, truth {truth:.5}: {:+.2} sigma of {sigma:.5}", (value - truth) / sigma);
+        assert!((value - truth).abs() < 3.0 * sigma, "{name}");
+    }
 }

@@ -179,7 +179,8 @@ impl Seen {
             let start = (cell.corner.at + 0.5) * scale - 0.5;
             let radius_px = (RADIUS * self.room(*place) * scale).clamp(RADIUS_PX.0, RADIUS_PX.1);
             let edges = [cell.corner.edges[0], cell.corner.edges[1]];
-            if let Some(found) = saddle::refine(full, start, edges, cell.corner.contrast, radius_px) {
+            let found = saddle::refine(full, start, edges, cell.corner.contrast, radius_px);
+            if let Some(found) = found {
                 let (column, row) = self.label(*place, way);
                 let saddle::Saddle { at: pixel, sigma_px, blur_px } = found;
                 corners.push(BoardCorner { column, row, pixel, sigma_px, blur_px });

@@ -38,12 +38,23 @@ pub(super) type Grid = HashMap<Place, Cell>;
 
 /// All grids of at least `least` corners, the largest first.
 pub(super) fn grids(search: &Search, corners: &[Corner], least: usize) -> Vec<Grid> {
-    let links: Vec<[Option<usize>; 4]> =
-        (0..corners.len()).map(|i| std::array::from_fn(|edge| neighbour(search, corners, i, edge))).collect();
-    let mutual = |i: usize, edge: usize| {
+    let links: Vec<[Option<usize>; 4]> = (0..corners.len()).map(|i| neighbours(search, corners, i)).collect();
+    let back = |i: usize, edge: usize| {
         let other = links[i][edge]?;
-        let back = (0..4).find(|&back| links[other][back] == Some(i))?;
-        Some((other, back))
+        (0..4).find(|&back| links[other][back] == Some(i)).map(|back| (other, back))
+    };
+    let length =
+        |i: usize, edge: usize| back(i, edge).map(|(other, _)| corners[i].at.distance(corners[other].at));
+    // A neighbour is not much farther away than the one on the other side, or those across: where the board ends, something behind it
+    // may fit by chance.
+    let near = |i: usize, edge: usize, far: f64| {
+        let across =
+            [1, 3].into_iter().filter_map(|turn| length(i, (edge + turn) % 4)).fold(f64::INFINITY, f64::min);
+        far <= 1.8 * length(i, (edge + 2) % 4).unwrap_or(f64::INFINITY) && far <= 4.0 * across
+    };
+    let mutual = |i: usize, edge: usize| {
+        let ((other, back), far) = (back(i, edge)?, length(i, edge)?);
+        (near(i, edge, far) && near(other, back, far)).then_some((other, back))
     };
     let mut taken = vec![false; corners.len()];
     let mut found = vec![];
@@ -85,22 +96,31 @@ pub(super) fn grids(search: &Search, corners: &[Corner], least: usize) -> Vec<Gr
     found
 }
 
-/// The corner to which an edge leads.
-fn neighbour(search: &Search, corners: &[Corner], from: usize, edge: usize) -> Option<usize> {
+/// The corners to which the four edges lead.
+fn neighbours(search: &Search, corners: &[Corner], from: usize) -> [Option<usize>; 4] {
     let corner = &corners[from];
-    let mut near: [(f64, usize); 3] = [(f64::INFINITY, 0); 3];
+    let mut near = [[(f64::INFINITY, 0); 3]; 4];
+    let mut farthest = f64::INFINITY;
     for (i, other) in corners.iter().enumerate() {
-        let way = other.at - corner.at;
-        let square = way.length_squared();
-        if square < near[2].0 && i != from && fits(corner, edge, other).is_some() {
-            near[2] = (square, i);
-            near.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let square = other.at.distance_squared(corner.at);
+        if square >= farthest || i == from {
+            continue;
+        }
+        let Some(edge) = (0..4).find(|&edge| fits(corner, edge, other).is_some()) else { continue };
+        let list = &mut near[edge];
+        if square < list[2].0 {
+            list[2] = (square, i);
+            list.sort_by(|a, b| a.0.total_cmp(&b.0));
+            farthest = near.iter().map(|list| list[2].0).fold(0.0, f64::max);
         }
     }
-    near.iter()
-        .take_while(|(square, _)| square.is_finite())
-        .find(|(_, i)| edge_between(search, corner, edge, &corners[*i]))
-        .map(|(_, i)| *i)
+    std::array::from_fn(|edge| {
+        near[edge]
+            .iter()
+            .take_while(|(square, _)| square.is_finite())
+            .find(|(_, i)| edge_between(search, corner, edge, &corners[*i]))
+            .map(|(_, i)| *i)
+    })
 }
 
 /// The edge of `other` that leads back, where `other` can be the neighbour of `corner` along `edge`.
@@ -204,23 +224,30 @@ fn look(search: &Search, grid: &Grid, place: Place) -> Option<Cell> {
     })
 }
 
-/// Drops corners that lie far from where their neighbours on both sides have them, the worst first.
+/// Drops corners that lie far from where their neighbours on both sides have them, the worst first; where one of those neighbours has no
+/// other one, it is the stranger.
 fn drop_misfits(grid: &mut Grid) {
+    let shifted = |place: Place, (dx, dy): Place| (place.0 + dx, place.1 + dy);
     loop {
-        let misfit = |place: &Place| {
-            let at = |dx: i32, dy: i32| grid.get(&(place.0 + dx, place.1 + dy)).map(|cell| cell.corner.at);
-            let mut worst = 0f64;
+        let at = |place: Place| grid.get(&place).map(|cell| cell.corner.at);
+        let friends =
+            |place: Place| STEPS.iter().filter(|step| grid.contains_key(&shifted(place, **step))).count();
+        let mut worst = (0.35, (0, 0));
+        for place in grid.keys() {
             for (dx, dy) in [(1, 0), (0, 1)] {
-                if let (Some(a), Some(b), Some(c)) = (at(-dx, -dy), at(0, 0), at(dx, dy)) {
-                    worst = worst.max(b.distance(0.5 * (a + c)) / (0.5 * a.distance(c)).max(1e-9));
+                let ends = [shifted(*place, (-dx, -dy)), shifted(*place, (dx, dy))];
+                if let (Some(a), Some(b), Some(c)) = (at(ends[0]), at(*place), at(ends[1])) {
+                    let amount = b.distance(0.5 * (a + c)) / (0.5 * a.distance(c)).max(1e-9);
+                    if amount > worst.0 {
+                        let stranger = ends.into_iter().find(|end| friends(*end) == 1);
+                        worst = (amount, stranger.unwrap_or(*place));
+                    }
                 }
             }
-            worst
-        };
-        let worst = grid.keys().map(|place| (misfit(place), *place)).max_by(|a, b| a.0.total_cmp(&b.0));
-        match worst {
-            Some((amount, place)) if amount > 0.35 => drop(grid.remove(&place)),
-            _ => return,
         }
+        if worst.0 <= 0.35 {
+            return;
+        }
+        grid.remove(&worst.1);
     }
 }

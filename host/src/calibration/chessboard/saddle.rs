@@ -11,8 +11,9 @@ use super::grey::Grey;
 
 /// Unknowns: a, gx, gy, b, x, y, the angles of the two edges, s.
 const N: usize = 9;
-/// A blur is at least this wide, pixels: a pixel's own width.
-const SHARPEST_PX: f64 = 0.8;
+/// The model is at least this blurred, pixels: an edge between two pixels of a sharp picture must still reach both, else nothing tells where
+/// between them it is.
+const SHARPEST_PX: f64 = 1.3;
 
 /// A corner to a few hundredths of a pixel.
 #[derive(Debug, Clone, Copy)]
