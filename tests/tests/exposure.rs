@@ -4,15 +4,17 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rigel::capture::{add_views, capture};
 use rigel::geometry::Lens;
 use rigel::measure::{ResponseChoice, measure};
-use rigel::progress::Silent;
+use rigel::progress::{Progress, Silent};
 use rigel::radiance::RadianceImage;
 use rigel::rig::{Rig, SerialRig};
 use rigel::sampling::{icosphere, tour};
 use rigel::session::{Manifest, Precision, Session};
+use rigel::{Error, Result};
 use rigel_simulated::camera::{Options, SimulatedCamera};
 use rigel_simulated::rig::{RigOptions, SimulatedRig};
 use rigel_simulated::scene::Scene;
@@ -31,7 +33,7 @@ struct Outcome {
 }
 
 /// A pixel's radiance in a channel.
-#[derive(Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 struct Value {
     truth: f64,
     measured: f64,
@@ -64,7 +66,22 @@ fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
     values[((values.len() - 1) as f64 * share).ceil() as usize]
 }
 
-fn photograph(folder: &Path, jpeg_quality: Option<u8>, precision: Option<Precision>) -> Outcome {
+/// Ctrl-C after so many steps.
+struct InterruptAfter(AtomicUsize);
+
+impl Progress for InterruptAfter {
+    fn step(&self, _done: usize, _total: usize) -> Result<()> {
+        if self.0.fetch_sub(1, Ordering::Relaxed) == 1 { Err(Error::Interrupted) } else { Ok(()) }
+    }
+}
+
+/// Captures a session, interrupted after so many steps again and again, and measures it.
+fn photograph(
+    folder: &Path,
+    jpeg_quality: Option<u8>,
+    precision: Option<Precision>,
+    steps: usize,
+) -> Outcome {
     let simulated = SimulatedRig::start(RigOptions { speed_factor: 200.0, ..RigOptions::default() }).unwrap();
     let mut rig = SerialRig::open(simulated.port_name()).unwrap();
     let position = simulated.position();
@@ -85,7 +102,12 @@ fn photograph(folder: &Path, jpeg_quality: Option<u8>, precision: Option<Precisi
     };
     add_views(&mut manifest, &tour(&icosphere(2, 0.5).unwrap(), &rig.limits()).unwrap());
     let mut session = Session::create(folder, manifest).unwrap();
-    let doubts = capture(&mut session, &mut rig, &mut camera, &Silent).unwrap();
+    let doubts = loop {
+        match capture(&mut session, &mut rig, &mut camera, &InterruptAfter(steps.into())) {
+            Err(Error::Interrupted) => session = Session::open(folder).unwrap(),
+            outcome => break outcome.unwrap(),
+        }
+    };
     measure(&session, &ResponseChoice::Recover, &Silent).unwrap();
 
     let (mut photographs, mut values) = (0, vec![]);
@@ -122,7 +144,12 @@ fn a_stated_error_is_reached_with_fewer_photographs() {
     let wish = Precision { relative_error: 0.03, share: SHARE };
     for jpeg_quality in [None, Some(95)] {
         let take = |name: &str, precision| {
-            photograph(&folder.path().join(format!("{name} {jpeg_quality:?}")), jpeg_quality, precision)
+            photograph(
+                &folder.path().join(format!("{name} {jpeg_quality:?}")),
+                jpeg_quality,
+                precision,
+                usize::MAX,
+            )
         };
         let halved = take("halved", None);
         let reached = Precision { relative_error: halved.errors()[0], share: SHARE };
@@ -143,4 +170,14 @@ fn a_stated_error_is_reached_with_fewer_photographs() {
             equal.photographs <= halved.photographs && equal.errors()[0] <= 1.02 * reached.relative_error
         );
     }
+}
+
+#[test]
+fn a_planned_capture_that_is_interrupted_goes_on_as_if_nothing_had_been() {
+    let folder = tempfile::tempdir().unwrap();
+    let wish = Some(Precision { relative_error: 0.02, share: 0.95 });
+    let [whole, resumed] = [usize::MAX, 12]
+        .map(|steps| photograph(&folder.path().join(format!("after {steps}")), None, wish, steps));
+    assert_eq!(resumed.photographs, whole.photographs);
+    assert!(resumed.values == whole.values);
 }
