@@ -56,6 +56,8 @@ fn every_record_is_written_in_order_and_the_tracker_is_switched_off_at_the_end()
     // What was counted stays readable.
     assert_eq!((after.rejected, after.overrun, after.restarts), (0, 0, 0));
     assert!((count..count + 60).contains(&u64::from(after.forwarded)), "{after:?}");
+    // It has fifty milliseconds to obey.
+    std::thread::sleep(Duration::from_millis(300));
     let said = simulated.position().take_said();
     std::thread::sleep(Duration::from_millis(200));
     assert!(simulated.position().take_said().is_empty(), "it still talks");

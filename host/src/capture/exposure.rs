@@ -1,5 +1,7 @@
 //! Which exposure times a view needs, so that a stated share of its pixels is measured with a stated relative error.
 //!
+//! Pixels that the longest time leaves too dark are no part of the share: nothing measures them, and they are flagged later.
+//!
 //! The camera's noise says how well one photograph measures an exposure: well below saturation, badly near black. What the
 //! photographs of a view show so far says how bright its pixels are. From both follows how well any further photograph would
 //! measure them, and so the fewest that are enough. All in the unit of exposure at the longest time, and in bins of
@@ -22,9 +24,9 @@ const STOPS: usize = 48;
 const BINS: usize = STOPS * BINS_PER_STOP as usize;
 /// Times that are tried lie so many bins apart: half a stop.
 const STEP: usize = 4;
-/// How precise a photograph at least is that looks for what is brighter than the last one could show; what is still missing
-/// is filled in once all is seen.
-const SCOUT_ERROR: f64 = 0.05;
+/// A photograph that looks for what is brighter than the last one could show is so many times less precise than the best at
+/// most; what is still missing is filled in once all is seen.
+const SCOUT_ERROR: f64 = 2.0;
 /// So many stops at most are taken in one step.
 const LONGEST_STEP: i32 = 8;
 /// So many pixels, spread over the picture, stand for all.
@@ -37,10 +39,10 @@ pub enum Next {
     Expose(f64),
     /// Nothing: this relative error is reached for the share that was wished for.
     Enough(f64),
-    /// Nothing that would be worth it: what was wished for cannot be reached by as many photographs as halving takes.
+    /// Nothing that would be worth it: as many photographs as halving takes do not reach what was wished for.
     Best {
-        /// What is reached instead; infinite where so many pixels are not measured at all.
-        relative_error: f64,
+        /// The share of the pixels that have the relative error that was wished for.
+        share: f64,
         /// Whether some pixels are too bright for the camera's shortest time.
         clipped: bool,
     },
@@ -110,7 +112,7 @@ impl Planner {
     /// What a view needs of which these photographs were taken.
     pub fn next(&self, taken: &[Glimpse]) -> Next {
         let (Some(&longest_s), Some(&shortest_s)) = (self.halvings_s.first(), self.halvings_s.last()) else {
-            return Next::Best { relative_error: f64::INFINITY, clipped: false };
+            return Next::Best { share: 0.0, clipped: false };
         };
         let darkest = taken.iter().min_by(|a, b| a.asked_s.total_cmp(&b.asked_s));
         let Some(&Glimpse { asked_s: darkest_s, saturated: clipped, .. }) = darkest else {
@@ -120,32 +122,40 @@ impl Planner {
             return Next::Expose(self.shorter(darkest_s));
         }
         let seen = self.look(taken);
-        let search = Search::new(&self.curves, &seen, self.precision.share);
+        let Precision { relative_error: goal, share } = self.precision;
         let bins: Vec<usize> =
             taken.iter().map(|glimpse| bins_below(glimpse.exposure_s, longest_s)).collect();
-        let reached = search.error(&bins);
-        if reached <= self.precision.relative_error {
-            return if clipped {
-                Next::Best { relative_error: reached, clipped }
-            } else {
-                Next::Enough(reached)
-            };
-        }
         let most = if clipped { self.halvings_s.len() } else { self.halvings_needed(&seen) };
-        let grid: Vec<usize> = (0..=bins_below(shortest_s, longest_s)).step_by(STEP).collect();
         let halvings: Vec<usize> =
             self.halvings_s.iter().take(most).map(|&time_s| bins_below(time_s, longest_s)).collect();
-        match search.more(&bins, &grid, &halvings, most, self.precision.relative_error) {
+        let mut search = Search::new(&self.curves, &seen, share);
+        let attainable = search.share_of(&halvings, goal);
+        let possible = attainable >= share && !clipped;
+        if attainable < share && attainable > share / 2.0 {
+            // For the sake of pixels that are too dark for this wish no more photographs are taken.
+            search.excuse(share * attainable);
+        }
+        let end = |reached| match possible {
+            true => Next::Enough(reached),
+            false => Next::Best { share: search.share_of(&bins, goal), clipped },
+        };
+        let reached = search.error(&bins);
+        if reached <= goal {
+            return end(reached);
+        }
+        let grid: Vec<usize> = (0..=bins_below(shortest_s, longest_s)).step_by(STEP).collect();
+        match search.more(&bins, &grid, &halvings, most, goal) {
             Some(below) => Next::Expose(longest_s * (-(below as f64) / BINS_PER_STOP).exp2()),
-            None => Next::Best { relative_error: reached, clipped },
+            None => Next::Best { share: search.share_of(&bins, goal), clipped },
         }
     }
 
     /// The time, one of those of halving, that shows what is brighter than `time_s` shows: as short as possible without a
     /// gap between the two.
     fn shorter(&self, time_s: f64) -> f64 {
-        let enough = self.precision.relative_error.max(SCOUT_ERROR).powi(-2);
         let stops = self.curves.iter().map(|curve| {
+            let best = curve.iter().fold(0.0_f64, |best, &precision| best.max(precision));
+            let enough = self.precision.relative_error.powi(-2).min(best / SCOUT_ERROR.powi(2));
             let top = curve.iter().rposition(|&precision| precision > 0.0).unwrap_or(0);
             let good = curve[..=top].iter().rev().take_while(|&&precision| precision >= enough).count();
             (good as f64 / BINS_PER_STOP) as i32
@@ -193,6 +203,9 @@ impl Planner {
                     sum / weight
                 } else if high == f64::MAX {
                     seen.clipped += 1;
+                    continue;
+                } else if low == 0.0 {
+                    // The longest time does not show it, and no other will.
                     continue;
                 } else {
                     low.max(high)

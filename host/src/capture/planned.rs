@@ -76,8 +76,8 @@ pub(super) fn photograph_view(
                     None => return Ok(Outcome::Unseen),
                 },
                 Next::Enough(_) => return Ok(Outcome::Done(None)),
-                Next::Best { relative_error, clipped } => {
-                    return Ok(Outcome::Done(Some(doubt(session, view, relative_error, clipped))));
+                Next::Best { share, clipped } => {
+                    return Ok(Outcome::Done(Some(doubt(session, view, share, clipped))));
                 }
             },
         };
@@ -98,27 +98,15 @@ pub(super) enum Outcome {
     Unseen,
 }
 
-fn doubt(session: &Session, view: usize, relative_error: f64, clipped: bool) -> String {
+fn doubt(session: &Session, view: usize, share: f64, clipped: bool) -> String {
     let name = &session.manifest.views[view].name;
     let wish = session.manifest.precision.unwrap_or_default();
-    let percent = |part: f64| format!("{} %", (part * 1e4).round() / 1e2);
-    let mut text = format!("{name}: ");
-    if relative_error > wish.relative_error {
-        let reached = if relative_error.is_finite() {
-            format!("{} is reached", percent(relative_error))
-        } else {
-            "so many are too dark for the longest exposure time or too bright for the shortest".into()
-        };
-        text += &format!(
-            "a relative error of {} was wished for {} of the pixels and {reached}",
-            percent(wish.relative_error),
-            percent(wish.share)
-        );
-    } else {
-        text += "what was wished for is reached";
-    }
-    if clipped {
-        text += "; some pixels are too bright for the camera's shortest time";
-    }
-    text
+    let percent = |part: f64| format!("{} %", (part * 1e4).floor() / 1e2);
+    let bright = if clipped { "; some are too bright for the camera's shortest time" } else { "" };
+    format!(
+        "{name}: a relative error of {} was wished for {} of the pixels and {} have it{bright}",
+        percent(wish.relative_error),
+        percent(wish.share),
+        percent(share)
+    )
 }

@@ -46,7 +46,8 @@ pub struct Manifest {
 pub struct Precision {
     /// The standard deviation of a pixel's radiance in a channel, relative to the radiance.
     pub relative_error: f64,
-    /// The share of the pixels, each channel by itself, that are measured so well or better.
+    /// The share of the pixels, each channel by itself, that are measured so well or better; of those that the longest
+    /// exposure time shows at all.
     pub share: f64,
 }
 

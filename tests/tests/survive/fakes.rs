@@ -125,6 +125,12 @@ pub fn fast() -> tempfile::TempDir {
     if memory.is_dir() { tempfile::tempdir_in(memory).unwrap() } else { tempfile::tempdir().unwrap() }
 }
 
+/// What looks at the patchwork from there.
+pub fn eye(at: &Cell<(f64, f64)>) -> SimulatedCamera<Box<dyn Fn() -> (f64, f64) + '_>> {
+    let options = Options { lens: Lens::pinhole(16, 12, 35.0), jpeg_quality: None, ..Options::default() };
+    SimulatedCamera::new(Scene::patchwork(), options, Box::new(|| at.get()))
+}
+
 /// Completes a session; returns how many photographs that took.
 pub fn complete(session: &mut Session, later: bool) -> Result<usize> {
     complete_with(session, later, &[])
@@ -133,8 +139,7 @@ pub fn complete(session: &mut Session, later: bool) -> Result<usize> {
 /// The same with a rig that restarts in these brackets.
 pub fn complete_with(session: &mut Session, later: bool, restarts: &[bool]) -> Result<usize> {
     let (at, taken) = (Cell::new((0.0, 0.0)), Cell::new(0));
-    let options = Options { lens: Lens::pinhole(16, 12, 35.0), jpeg_quality: None, ..Options::default() };
-    let eye = SimulatedCamera::new(Scene::patchwork(), options, Box::new(|| at.get()) as Box<_>);
+    let eye = eye(&at);
     capture(session, &mut Bench::new(&at, restarts), &mut Counting { eye, taken: &taken, later }, &Silent)?;
     Ok(taken.get())
 }

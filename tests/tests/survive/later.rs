@@ -1,15 +1,17 @@
 //! Cameras that keep their photographs until they are collected.
 
+use std::cell::Cell;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use image::ImageEncoder;
 use rigel::camera::exif;
+use rigel::capture::capture;
 use rigel::progress::Silent;
-use rigel::session::{Event, Exposed, Session, collect};
+use rigel::session::{Event, Exposed, Manifest, Precision, Session, collect};
 
-use super::fakes::{complete, complete_with, fast, manifest};
+use super::fakes::{Bench, Counting, complete, complete_with, eye, fast, manifest};
 use super::{content, files};
 
 #[test]
@@ -86,6 +88,17 @@ fn what_a_camera_kept_is_collected_whatever_interrupts_it() {
     }
     let message = collect(&mut Session::open(&path).unwrap(), &card, &Silent).unwrap_err().to_string();
     assert!(message.contains("waits for no photographs"), "{message}");
+}
+
+#[test]
+fn a_wish_for_precision_changes_nothing_where_nobody_sees_the_photographs_and_that_is_told() {
+    let (folder, at, taken) = (fast(), Cell::new((0.0, 0.0)), Cell::new(0));
+    let manifest = Manifest { precision: Some(Precision::default()), ..manifest() };
+    let mut session = Session::create(&folder.path().join("s"), manifest).unwrap();
+    let mut camera = Counting { eye: eye(&at), taken: &taken, later: true };
+    let doubts = capture(&mut session, &mut Bench::new(&at, &[]), &mut camera, &Silent).unwrap();
+    assert_eq!((session.waiting().len(), taken.get()), (12, 12));
+    assert!(doubts.len() == 1 && doubts[0].contains("whole bracket"), "{doubts:?}");
 }
 
 /// Whoever takes a view again exposes twice, and the camera keeps both.

@@ -11,6 +11,7 @@ pub(super) struct Search<'a> {
     curves: &'a [Vec<f64>; 3],
     /// Channel, bin and count of what is there.
     there: Vec<(usize, usize, u32)>,
+    total: f64,
     /// So many values need not be measured so well.
     excused: f64,
     clipped: u32,
@@ -28,7 +29,20 @@ impl<'a> Search<'a> {
             .filter(|(_, _, count)| *count > 0)
             .collect();
         let total = f64::from(seen.clipped) + there.iter().map(|value| f64::from(value.2)).sum::<f64>();
-        Self { curves, there, excused: (1.0 - share) * total, clipped: seen.clipped }
+        Self { curves, there, total, excused: (1.0 - share) * total, clipped: seen.clipped }
+    }
+
+    /// From now on this share of the values is wished for.
+    pub fn excuse(&mut self, share: f64) {
+        self.excused = (1.0 - share) * self.total;
+    }
+
+    /// The share of the values that have this relative error with these photographs.
+    pub fn share_of(&self, taken: &[usize], relative_error: f64) -> f64 {
+        let enough = relative_error.powi(-2) * (1.0 - 1e-9);
+        let precisions = self.precisions(taken);
+        let reached = precisions.iter().zip(&self.there).filter(|(precision, _)| **precision >= enough);
+        reached.map(|(_, value)| f64::from(value.2)).sum::<f64>() / self.total.max(1.0)
     }
 
     /// The relative error that the wished share of the values has at most with these photographs.
