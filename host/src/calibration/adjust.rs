@@ -460,9 +460,5 @@ pub(super) fn solo(frame: &Frame, view: &ViewData) -> Option<(Deviation, Vec<f64
     Some((deviation, misfit.iter().map(total).collect()))
 }
 
-/// Corners as a measured square of no known noise: for tests and simulations.
 #[cfg(test)]
-pub(super) fn exactly(square: usize, corners: &[DVec2; 4], sigma_px: f64) -> MeasuredSquare {
-    let corners = super::square::vector(corners);
-    MeasuredSquare { square, corners, covariance: CornerCovariance::identity() * sigma_px.powi(2) }
-}
+mod tests;
