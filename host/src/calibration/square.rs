@@ -188,18 +188,24 @@ fn weigh(pixels: &mut [Pixel], centre: DVec2) -> Result<Levels, Unseen> {
             break;
         }
         let contrast = (levels[0] - levels[3]).abs();
-        let spread = |part: &dyn Fn(f64) -> bool, otherwise: f64| {
-            let mut sizes: Vec<f64> =
-                pixels.iter().filter(|p| part(p.covered)).map(|p| p.residual.abs()).collect();
+        let grain = |part: &dyn Fn(f64) -> bool, otherwise: f64| {
+            let mut sizes: Vec<f64> = vec![];
+            let mut noise = 0.0;
+            for pixel in pixels.iter().filter(|p| part(p.covered)) {
+                sizes.push(pixel.residual.abs());
+                noise += pixel.variance;
+            }
             if sizes.len() < 5 {
                 return otherwise;
             }
+            noise /= sizes.len() as f64;
             let middle = sizes.len() / 2;
             // Of a normal distribution, the median size is 0.6745 of the standard deviation.
-            *sizes.select_nth_unstable_by(middle, f64::total_cmp).1 / 0.6745
+            let all = *sizes.select_nth_unstable_by(middle, f64::total_cmp).1 / 0.6745;
+            (all * all - noise).max(0.0).sqrt()
         };
-        let ground = spread(&|covered| covered < 0.1, 0.1 * contrast).max(1e-3 * contrast);
-        let square = spread(&|covered| covered > 0.9, 0.03 * contrast).max(1e-3 * contrast);
+        let ground = grain(&|covered| covered < 0.1, 0.1 * contrast).max(1e-3 * contrast);
+        let square = grain(&|covered| covered > 0.9, 0.03 * contrast).max(1e-3 * contrast);
         for pixel in &mut *pixels {
             let (inside, outside) = (pixel.covered, 1.0 - pixel.covered);
             let edge = 4.0 * EDGE_ERROR * contrast * inside * outside;

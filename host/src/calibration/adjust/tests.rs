@@ -82,7 +82,7 @@ fn the_stated_covariance_is_the_error_s() {
     let (layout, mut random) = (layout(), StdRng::seed_from_u64(2));
     let frame = frame(&layout);
     let mut scores = vec![];
-    for _ in 0..10 {
+    for _ in 0..6 {
         let (data, truth) = simulate(&frame, 24, 0.08, &mut random);
         let found = adjust(&frame, &data).unwrap();
         for (view, (data, truth)) in data.iter().zip(&truth).enumerate() {
