@@ -15,7 +15,9 @@ mod squares;
 pub mod vignetting;
 
 pub use chessboard::{BoardCorner, BoardSize, Sighting, find_board};
-pub use lens::{BoardView, LensCalibration, LensCovariance, LensModel, calibrate_lens, calibrate_photographs};
+pub use lens::{
+    BoardView, LensCalibration, LensCovariance, LensModel, calibrate_lens, calibrate_photographs,
+};
 pub use register::{RegisterOptions, register};
 pub use registration::{DeviationSigma, DroppedView, RegisteredView, Registration, view_geometry};
 pub use rig_model::RigModel;

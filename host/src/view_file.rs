@@ -276,7 +276,9 @@ fn foreign(path: &Path, text: &str, pixel_centre: f64) -> Result<Option<(LensFil
         return match lenses[..] {
             [lens] => Ok(Some((LensFile::of(&lens), 0.0))),
             [] => Err(Error::input(path, "has no camera", "export the model again with COLMAP (as text)")),
-            _ => Err(Error::input(path, format!("has {} cameras", lenses.len()), "keep the one that is meant")),
+            _ => {
+                Err(Error::input(path, format!("has {} cameras", lenses.len()), "keep the one that is meant"))
+            }
         };
     }
     Ok(None)
@@ -292,7 +294,12 @@ fn check_covariance(path: &Path, covariance: &LensCovariance) -> Result<()> {
         None => Ok(()),
         Some((i, j)) => Err(Error::input(
             path,
-            format!("covariance has {} at row {} column {}, which no covariance has", covariance[i][j], i + 1, j + 1),
+            format!(
+                "covariance has {} at row {} column {}, which no covariance has",
+                covariance[i][j],
+                i + 1,
+                j + 1
+            ),
             "write it again with `rigel calibrate`, or remove it",
         )),
     }
@@ -361,7 +368,9 @@ mod tests {
         let rows = |change: f64| {
             let row = |i: usize| {
                 let row: Vec<String> = (0..9)
-                    .map(|j| if i == j { "4.0".into() } else { format!("{:?}", if j > i { 0.5 } else { change }) })
+                    .map(|j| {
+                        if i == j { "4.0".into() } else { format!("{:?}", if j > i { 0.5 } else { change }) }
+                    })
                     .collect();
                 format!("[{}]", row.join(", "))
             };
@@ -371,7 +380,8 @@ mod tests {
         assert_eq!(good.covariance().unwrap()[3][2], 0.5);
         assert_eq!(Calibration::read(file(head).path(), 0.0).unwrap().covariance(), None);
         for bad in [rows(0.6), rows(f64::NAN), "covariance = [[1.0]]\n".into()] {
-            let message = Calibration::read(file(&format!("{head}{bad}")).path(), 0.0).unwrap_err().to_string();
+            let message =
+                Calibration::read(file(&format!("{head}{bad}")).path(), 0.0).unwrap_err().to_string();
             assert!(message.contains("; "), "{message}");
         }
     }

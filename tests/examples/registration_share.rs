@@ -24,12 +24,13 @@ fn main() {
     let folder = tempfile::tempdir().unwrap();
     let session = import_patchwork(&patchwork, &patchwork.join("views.csv"), &folder.path().join("session"));
     let truth = Truth::read(&patchwork);
+    let lens = lens(&patchwork);
     let response = folder.path().join("response.csv");
     std::fs::write(&response, true_response(&patchwork)).unwrap();
     println!("{:<34} {:>12} {:>9}", "", "mean of 255", "PSNR dB");
     for (name, choice) in [("found", ResponseChoice::Recover), ("true", ResponseChoice::File(response))] {
         measure(&session, &choice, &Silent).unwrap();
-        let options = RegisterOptions { squares: Some(squares(folder.path())), lens: Some((lens(), None)) };
+        let options = RegisterOptions { squares: Some(squares(folder.path())), lens: Some(lens) };
         let found = register(&session, &options, &Silent).unwrap();
         let [median, p95, most, _] = summary(&truth, &found);
         println!("{name} response: directions within {median:.4}, {p95:.4}, {most:.4} degrees");

@@ -7,8 +7,7 @@ use std::path::{Path, PathBuf};
 use glam::DVec2;
 use rand::rngs::StdRng;
 use rigel::calibration::{
-    BoardCorner, BoardSize, BoardView, LensModel, Sighting, calibrate_lens, calibrate_photographs,
-    find_board,
+    BoardCorner, BoardSize, BoardView, LensModel, Sighting, calibrate_lens, calibrate_photographs, find_board,
 };
 use rigel::geometry::Lens;
 use rigel::picture::Picture;
@@ -20,7 +19,17 @@ const NINE_BY_SIX: BoardSize = BoardSize { columns: 9, rows: 6 };
 
 /// The lens of `peers/d_calib.py`.
 fn lens() -> Lens {
-    Lens { fx: 540.0, fy: 538.0, cx: 330.0, cy: 236.0, k1: -0.28, k2: 0.09, p1: 0.001, p2: -0.0005, ..Lens::pinhole(640, 480, 540.0) }
+    Lens {
+        fx: 540.0,
+        fy: 538.0,
+        cx: 330.0,
+        cy: 236.0,
+        k1: -0.28,
+        k2: 0.09,
+        p1: 0.001,
+        p2: -0.0005,
+        ..Lens::pinhole(640, 480, 540.0)
+    }
 }
 
 fn photographs(folder: &Path, start: &str) -> Vec<PathBuf> {

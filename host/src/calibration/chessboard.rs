@@ -172,10 +172,7 @@ impl Seen {
         };
         // Half a turn more where the square inside the first corner is not dark.
         let ways: [usize; 2] = if turned == Turned::No { [0, 2] } else { [1, 3] };
-        let way = ways
-            .into_iter()
-            .find(|&way| self.dark_at_origin(way))
-            .unwrap_or(ways[0]);
+        let way = ways.into_iter().find(|&way| self.dark_at_origin(way)).unwrap_or(ways[0]);
         let scale = f64::from(1u32 << self.level);
         let mut corners = vec![];
         for (place, cell) in &self.grid {
@@ -231,9 +228,7 @@ impl Seen {
 
 /// The first and last column and row; `None` for an empty grid.
 fn bounds(grid: &Grid) -> Option<((i32, i32), (i32, i32))> {
-    let range = |pick: fn(&Place) -> i32| {
-        Some((grid.keys().map(pick).min()?, grid.keys().map(pick).max()?))
-    };
+    let range = |pick: fn(&Place) -> i32| Some((grid.keys().map(pick).min()?, grid.keys().map(pick).max()?));
     Some((range(|place| place.0)?, range(|place| place.1)?))
 }
 

@@ -6,6 +6,7 @@ use nalgebra::SMatrix;
 use rayon::prelude::*;
 
 use super::adjust::{Adjusted, Frame, LENS, MeasuredPose, ViewData, adjust, solo};
+use super::lens::LensCovariance;
 use super::luminance::Luminance;
 use super::photometric::{BANDS, Grid, align};
 use super::registration::{DeviationSigma, DroppedView, RegisteredView, Registration, made_from};
@@ -24,7 +25,7 @@ pub struct RegisterOptions {
     /// The squares around the surface, if there are any.
     pub squares: Option<Squares>,
     /// The lens, in place of the session's; and the covariance of fx fy cx cy k1 k2 p1 p2 k3 if it was calibrated.
-    pub lens: Option<(Lens, Option<[[f64; LENS]; LENS]>)>,
+    pub lens: Option<(Lens, Option<LensCovariance>)>,
 }
 
 /// A view that deviates by more than so many standard deviations of the others, and by more than these (degrees, part of the

@@ -31,7 +31,11 @@ pub(super) fn read(path: &Path, text: &str) -> Result<LensFile> {
     if let Some(beyond) = distortion.iter().skip(5).position(|number| *number != 0.0) {
         return Err(Error::input(
             path,
-            format!("has {} distortion_coefficients, and number {} is not zero", distortion.len(), beyond + 6),
+            format!(
+                "has {} distortion_coefficients, and number {} is not zero",
+                distortion.len(),
+                beyond + 6
+            ),
             "calibrate with k1 k2 p1 p2 k3 only",
         ));
     }
@@ -90,7 +94,10 @@ mod tests {
             assert!(is_storage(text));
             let lens = read(Path::new("a"), text).unwrap();
             assert_eq!((lens.fx, lens.fy, lens.cx, lens.cy), (Some(536.07), Some(536.02), 342.37, 235.54));
-            assert_eq!((lens.k1, lens.k2, lens.p1, lens.p2, lens.k3), (-0.265, -0.0467, 0.00183, -0.00031, 0.252));
+            assert_eq!(
+                (lens.k1, lens.k2, lens.p1, lens.p2, lens.k3),
+                (-0.265, -0.0467, 0.00183, -0.00031, 0.252)
+            );
             assert_eq!((lens.width, lens.height), (Some(640), Some(480)));
         }
         assert!(!is_storage("fx = 500.0\n") && !is_storage("{\"fx\": 500}"));
@@ -98,7 +105,9 @@ mod tests {
 
     #[test]
     fn what_cannot_be_meant_is_refused() {
-        for (from, to) in [("camera_matrix", "matrix"), (" 1. ]", " ]"), ("0.252", "0.252, 0.1"), ("536.07", "five")] {
+        for (from, to) in
+            [("camera_matrix", "matrix"), (" 1. ]", " ]"), ("0.252", "0.252, 0.1"), ("536.07", "five")]
+        {
             assert!(YAML.contains(from));
             let message = read(Path::new("a"), &YAML.replacen(from, to, 1)).unwrap_err().to_string();
             assert!(message.starts_with("a: ") && message.contains("; "), "{message}");

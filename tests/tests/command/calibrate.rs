@@ -92,9 +92,11 @@ fn boards_that_cannot_be_used_are_named_and_the_others_calibrate() {
     photograph(folder.path(), "other.png", &other, &look);
     let hidden = board.photograph(&lens(), &look);
     let corner = board.pixel(&lens(), 1.6, 0.0).unwrap();
-    let levels = hidden.levels.iter().enumerate().map(|(i, level)| {
-        if (i % 320) as f64 > corner.x { [150; 3] } else { *level }
-    });
+    let levels = hidden
+        .levels
+        .iter()
+        .enumerate()
+        .map(|(i, level)| if (i % 320) as f64 > corner.x { [150; 3] } else { *level });
     save(&Picture { levels: levels.collect(), ..hidden }, &folder.path().join("hidden.png"));
     let said = succeed(folder.path(), &arguments(&names(folder.path()), "7x5"));
     for (name, reason) in [
@@ -124,7 +126,8 @@ fn what_makes_no_lens_is_refused_in_a_sentence() {
         (
             |folder| {
                 for i in 0..8 {
-                    let shift = DVec3::new(0.1 * f64::from(i) - 0.4, 0.05 * f64::from(i), 9.5 + 0.2 * f64::from(i));
+                    let shift =
+                        DVec3::new(0.1 * f64::from(i) - 0.4, 0.05 * f64::from(i), 9.5 + 0.2 * f64::from(i));
                     let board = Board::at(7, 5, 1.0, DVec3::ZERO, shift);
                     photograph(folder, &format!("b{i}.png"), &board, &Look::default());
                 }
@@ -152,11 +155,7 @@ fn what_makes_no_lens_is_refused_in_a_sentence() {
             "7x5",
             &["b1.jpg", "35.0 mm", "18.0 mm", "b0.jpg", "do not zoom"],
         ),
-        (
-            |folder| fs::write(folder.join("b3.png"), b"no picture").unwrap(),
-            "7x5",
-            &["b3.png", "complete"],
-        ),
+        (|folder| fs::write(folder.join("b3.png"), b"no picture").unwrap(), "7x5", &["b3.png", "complete"]),
     ];
     for (spoil, board, says) in all {
         let folder = boards();

@@ -97,7 +97,8 @@ impl Board {
         };
         let brightness = |at: DVec2| {
             let (column, row) = (at.x.floor(), at.y.floor());
-            let inside = |k: f64, count: u32, border: f64| k >= -1.0 - border && k < f64::from(count) + border;
+            let inside =
+                |k: f64, count: u32, border: f64| k >= -1.0 - border && k < f64::from(count) + border;
             if !(inside(column, self.columns, 1.0) && inside(row, self.rows, 1.0)) {
                 return look.levels[2];
             }
@@ -122,8 +123,9 @@ impl Board {
                 }
                 // Within a pixel the board is as good as evenly stretched.
                 let part = |k: usize| (k as f64 + 0.5) / FINE as f64;
-                let fine = (0..FINE * FINE)
-                    .map(|k| brightness(a.lerp(b, part(k % FINE)).lerp(c.lerp(d, part(k % FINE)), part(k / FINE))));
+                let fine = (0..FINE * FINE).map(|k| {
+                    brightness(a.lerp(b, part(k % FINE)).lerp(c.lerp(d, part(k % FINE)), part(k / FINE)))
+                });
                 fine.sum::<f64>() / (FINE * FINE) as f64
             })
             .collect();

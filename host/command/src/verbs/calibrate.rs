@@ -85,7 +85,8 @@ fn write_residuals(calibration: &LensCalibration, folder: &Path) -> Result<()> {
     let residuals = field(size, &arrows, MAGNIFIED, (&[], (0, 0)), &caption);
     let sigmas = calibration.projection_sigmas_px(CELLS.0, CELLS.1);
     let (least, most) = sigmas.iter().fold((f64::MAX, 0f64), |(a, b), s| (a.min(*s), b.max(*s)));
-    let caption = format!("standard deviation of the projection: {least:.3} px (light) to {most:.3} px (dark)");
+    let caption =
+        format!("standard deviation of the projection: {least:.3} px (light) to {most:.3} px (dark)");
     let dots: Vec<Arrow> = arrows.iter().map(|arrow| Arrow { by: (0.0, 0.0), ..*arrow }).collect();
     let sigma = field(size, &dots, 1.0, (&sigmas, CELLS), &caption);
     let files = [("residuals.csv", table), ("residuals.svg", residuals), ("sigma.svg", sigma)];

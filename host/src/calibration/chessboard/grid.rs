@@ -38,9 +38,8 @@ pub(super) type Grid = HashMap<Place, Cell>;
 
 /// All grids of at least `least` corners, the largest first.
 pub(super) fn grids(search: &Search, corners: &[Corner], least: usize) -> Vec<Grid> {
-    let links: Vec<[Option<usize>; 4]> = (0..corners.len())
-        .map(|i| std::array::from_fn(|edge| neighbour(search, corners, i, edge)))
-        .collect();
+    let links: Vec<[Option<usize>; 4]> =
+        (0..corners.len()).map(|i| std::array::from_fn(|edge| neighbour(search, corners, i, edge))).collect();
     let mutual = |i: usize, edge: usize| {
         let other = links[i][edge]?;
         let back = (0..4).find(|&back| links[other][back] == Some(i))?;
@@ -170,7 +169,8 @@ fn grow(search: &Search, grid: &mut Grid) {
             .collect();
         let mut added = false;
         for place in around {
-            let neighbours = STEPS.iter().filter(|s| grid.contains_key(&(place.0 + s.0, place.1 + s.1))).count();
+            let neighbours =
+                STEPS.iter().filter(|s| grid.contains_key(&(place.0 + s.0, place.1 + s.1))).count();
             // A place is asked again only when it has got more neighbours.
             if grid.contains_key(&place) || tried.get(&place).is_some_and(|before| *before >= neighbours) {
                 continue;

@@ -102,7 +102,13 @@ impl Window {
 
 /// Fits the corner near `start`, whose edges leave along `first` and `second` (the sector between them is dark), in a disc of
 /// `radius_px`; `None` where the picture does not look like one.
-pub(super) fn refine(grey: &Grey, start: DVec2, edges: [DVec2; 2], contrast: f32, radius_px: f64) -> Option<Saddle> {
+pub(super) fn refine(
+    grey: &Grey,
+    start: DVec2,
+    edges: [DVec2; 2],
+    contrast: f32,
+    radius_px: f64,
+) -> Option<Saddle> {
     let mut centre = start;
     let mut p = SVector::<f64, N>::zeros();
     (p[6], p[7]) = (edges[0].to_angle(), edges[1].to_angle());

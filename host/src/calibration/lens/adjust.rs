@@ -66,8 +66,9 @@ struct Reduced {
 
 /// Residuals (seen minus predicted) of a board; `None` where the lens cannot show a corner.
 pub(super) fn residuals(lens: &Lens, pose: &BoardPose, sights: &[Sight]) -> Option<Vec<DVec2>> {
-    let predicted =
-        |sight: &Sight| lens.project(pose.rotation * sight.point_m + pose.translation_m).map(|p| sight.pixel - p);
+    let predicted = |sight: &Sight| {
+        lens.project(pose.rotation * sight.point_m + pose.translation_m).map(|p| sight.pixel - p)
+    };
     sights.iter().map(predicted).collect()
 }
 
@@ -93,7 +94,8 @@ fn block(lens: &Lens, pose: &BoardPose, sights: &[Sight], loss: Loss) -> Option<
         let weight = loss.of(residual.length_squared()).0;
         let [px, py, pz] = by_point;
         // A turn w of the board moves its point by w x turned.
-        let turns = [pz * turned.y - py * turned.z, px * turned.z - pz * turned.x, py * turned.x - px * turned.y];
+        let turns =
+            [pz * turned.y - py * turned.z, px * turned.z - pz * turned.x, py * turned.x - px * turned.y];
         let (mut x, mut y) = ([0.0; ROW], [0.0; ROW]);
         for (k, by) in by_lens.iter().chain(&turns).chain(&by_point).chain([&residual]).enumerate() {
             (x[k], y[k]) = (by.x, by.y);
@@ -125,7 +127,12 @@ impl Block {
 }
 
 /// Finds the lens and the poses that fit best, from `start`; only the `free` numbers of the lens move. `None` where `start` cannot show the corners.
-pub(super) fn adjust(boards: &[Vec<Sight>], start: Estimate, free: [bool; LENS], loss: Loss) -> Option<Estimate> {
+pub(super) fn adjust(
+    boards: &[Vec<Sight>],
+    start: Estimate,
+    free: [bool; LENS],
+    loss: Loss,
+) -> Option<Estimate> {
     let mut estimate = start;
     let mut cost = price(&estimate, boards, loss);
     if !cost.is_finite() {

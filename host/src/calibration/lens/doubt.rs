@@ -88,7 +88,8 @@ fn excess(
     let unknowns = free.iter().filter(|free| **free).count() as f64;
     let (mut pulled, mut leverage) = (0.0, 0.0);
     for (part, pull) in parts.iter().zip(pulls) {
-        let pull = nalgebra::SVector::<f64, LENS>::from_fn(|k, _| if free[k] { pull[k] * scale[k] } else { 0.0 });
+        let pull =
+            nalgebra::SVector::<f64, LENS>::from_fn(|k, _| if free[k] { pull[k] * scale[k] } else { 0.0 });
         pulled += pull.dot(&factor.solve(&pull)) / variance;
         let share = factor.solve(&scaled(&only(part, 0.0)));
         leverage += (share * share).trace();

@@ -58,7 +58,11 @@ pub fn calibrate_lens(
     let mut kept: Vec<usize> = (0..views.len()).collect();
     let all: Vec<Vec<Sight>> = views.iter().map(|view| sights(&view.corners, square_m)).collect();
     let nonsense = || {
-        Error::input(&first, "and the other boards fit no lens at all", "check --board and photograph them again")
+        Error::input(
+            &first,
+            "and the other boards fit no lens at all",
+            "check --board and photograph them again",
+        )
     };
     let mut estimate = start(&all, width, height).ok_or_else(nonsense)?;
     let largest = model.unwrap_or(LensModel::All);

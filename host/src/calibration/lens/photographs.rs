@@ -38,7 +38,10 @@ pub fn calibrate_photographs(
     progress: &dyn Progress,
 ) -> Result<LensCalibration> {
     let Some(first) = paths.first() else {
-        return Err(Error::request("there is no photograph to calibrate with", "give photographs of a chessboard"));
+        return Err(Error::request(
+            "there is no photograph to calibrate with",
+            "give photographs of a chessboard",
+        ));
     };
     let done = AtomicUsize::new(0);
     let seen: Vec<Seen> = paths

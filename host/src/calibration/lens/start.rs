@@ -52,9 +52,7 @@ pub(super) fn homography(sights: &[Sight]) -> Option<DMat3> {
 
 /// The pose of a board under a lens without distortion.
 pub(super) fn pose(lens: &Lens, homography: &DMat3) -> Option<BoardPose> {
-    let plain = |v: DVec3| {
-        DVec3::new((v.x - lens.cx * v.z) / lens.fx, (v.y - lens.cy * v.z) / lens.fy, v.z)
-    };
+    let plain = |v: DVec3| DVec3::new((v.x - lens.cx * v.z) / lens.fx, (v.y - lens.cy * v.z) / lens.fy, v.z);
     let (a, b, c) = (plain(homography.x_axis), plain(homography.y_axis), plain(homography.z_axis));
     let mut scale = 2.0 / (a.length() + b.length());
     // The board is in front of the camera.
@@ -63,8 +61,14 @@ pub(super) fn pose(lens: &Lens, homography: &DMat3) -> Option<BoardPose> {
     }
     let (a, b) = (scale * a, scale * b);
     // The nearest two orthogonal unit vectors: the bisectors are, whatever their lengths.
-    let (along, across) = ((a.normalize_or_zero() + b.normalize_or_zero()).try_normalize()?, (a.normalize_or_zero() - b.normalize_or_zero()).try_normalize()?);
-    let (x, y) = ((along + across) * std::f64::consts::FRAC_1_SQRT_2, (along - across) * std::f64::consts::FRAC_1_SQRT_2);
+    let (along, across) = (
+        (a.normalize_or_zero() + b.normalize_or_zero()).try_normalize()?,
+        (a.normalize_or_zero() - b.normalize_or_zero()).try_normalize()?,
+    );
+    let (x, y) = (
+        (along + across) * std::f64::consts::FRAC_1_SQRT_2,
+        (along - across) * std::f64::consts::FRAC_1_SQRT_2,
+    );
     let rotation = DMat3::from_cols(x, y, x.cross(y));
     (rotation.is_finite() && c.is_finite()).then_some(BoardPose { rotation, translation_m: scale * c })
 }

@@ -21,7 +21,11 @@ const SURE_PX: f64 = 0.25;
 const BENT: f64 = 1.5;
 
 /// Refuses boards that do not tell the focal length.
-pub(super) fn refuse_unknown_focal_length(path: &Path, estimate: &Estimate, doubt: Option<&Doubt>) -> Result<()> {
+pub(super) fn refuse_unknown_focal_length(
+    path: &Path,
+    estimate: &Estimate,
+    doubt: Option<&Doubt>,
+) -> Result<()> {
     let lens = &estimate.lens;
     let sigma = |k: usize| doubt.map_or(f64::INFINITY, |doubt| doubt.covariance[k][k].sqrt());
     let share = (sigma(0) / lens.fx).max(sigma(1) / lens.fy);
@@ -72,16 +76,22 @@ pub(super) fn verdict(calibration: &LensCalibration) -> String {
         true => format!(
             "calibrated: things are shown where they are to within {typical:.2} px, and {worst:.2} px in the corners of the picture"
         ),
-        false => "calibrated where the boards were; the lens shows nothing in the corners of the picture".into(),
+        false => {
+            "calibrated where the boards were; the lens shows nothing in the corners of the picture".into()
+        }
     };
     match bare.len() {
         0 => {}
         4 => text += "; the corners of the picture were not covered: tilt the board there",
-        1 => text += &format!("; the {} corner of the picture was not covered: tilt the board there", bare[0]),
+        1 => {
+            text += &format!("; the {} corner of the picture was not covered: tilt the board there", bare[0])
+        }
         _ => {
             let (last, others) = bare.split_last().unwrap_or((&"", &[]));
             let others = others.join(", ");
-            text += &format!("; the {others} and {last} corners of the picture were not covered: tilt the board there");
+            text += &format!(
+                "; the {others} and {last} corners of the picture were not covered: tilt the board there"
+            );
         }
     }
     if calibration.excess > BENT {
