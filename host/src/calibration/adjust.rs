@@ -7,6 +7,7 @@
 
 use glam::DVec2;
 use nalgebra::{DMatrix, DVector, Matrix6, SMatrix, SVector};
+use rayon::prelude::*;
 
 use super::edge::Quad;
 use super::rig_model::{DEVIATIONS, Deviation, RIG, RigModel, Seen};
@@ -67,6 +68,10 @@ pub(super) struct Adjusted {
 /// Rounds at most, and when the standard deviations have settled (relative).
 const ROUNDS: usize = 60;
 const SETTLED: f64 = 0.01;
+/// The poses are known to a hundredth of a pixel after so many rounds: the rest only settles how sure everything is.
+const RELINEARISED: usize = 5;
+/// Deviations less than this part of what they are at first count as none.
+const NEGLIGIBLE: f64 = 0.02;
 /// What deviations are before they are estimated: half a degree, 3 mm at 0.9 m.
 const ANGLE_RAD: f64 = 0.0087;
 const SHIFT: f64 = 0.0033;
@@ -239,14 +244,33 @@ fn shared_prior(frame: &Frame) -> Option<SMatrix<f64, SHARED, SHARED>> {
     Some(prior)
 }
 
+/// A view's measurements as a linear function of its deviation and the shared unknowns.
+struct Linear {
+    /// Whitened residuals where it was linearised, and their derivative.
+    residual: DVector<f64>,
+    derivative: DMatrix<f64>,
+    shared: SVector<f64, SHARED>,
+    deviation: Deviation,
+}
+
+impl Linear {
+    fn residual_at(&self, shared: &SVector<f64, SHARED>, deviation: &Deviation) -> DVector<f64> {
+        let mut step = SVector::<f64, ALL>::zeros();
+        step.fixed_rows_mut::<DEVIATIONS>(0)
+            .copy_from(&(SVector::from(*deviation) - SVector::from(self.deviation)));
+        step.fixed_rows_mut::<SHARED>(DEVIATIONS).copy_from(&(shared - self.shared));
+        &self.residual - &self.derivative * step
+    }
+}
+
 /// One view's share of the normal equations.
-struct Share {
+struct Share<'a> {
     own: Matrix6<f64>,
     cross: SMatrix<f64, DEVIATIONS, SHARED>,
     right: SVector<f64, DEVIATIONS>,
     /// Whitened residuals and derivatives, not weighted.
     residual: DVector<f64>,
-    derivative: DMatrix<f64>,
+    derivative: &'a DMatrix<f64>,
     /// Weight of each residual, noise included.
     weight: Vec<f64>,
 }
@@ -272,16 +296,25 @@ pub(super) fn default_sigma(distance_m: f64) -> [f64; DEVIATIONS] {
 /// The same from what an earlier adjustment found.
 pub(super) fn adjust_from(frame: &Frame, views: &[ViewData], mut state: Adjusted) -> Option<Adjusted> {
     let prior = shared_prior(frame)?;
+    let mut linears = vec![];
     for round in 0..ROUNDS {
         let deviations = Matrix6::from_diagonal(&SVector::from(state.sigma.map(|sigma| sigma.powi(-2))));
         let (mut matrix, mut right) = (prior, -(prior * state.shared));
         let mut shares = Vec::with_capacity(views.len());
-        for (index, view) in views.iter().enumerate() {
-            let (residual, derivative) = frame.linearise(view, &state.shared, &state.deviations[index])?;
+        if round < RELINEARISED {
+            let linear = |(view, deviation): (&ViewData, &Deviation)| {
+                let (residual, derivative) = frame.linearise(view, &state.shared, deviation)?;
+                Some(Linear { residual, derivative, shared: state.shared, deviation: *deviation })
+            };
+            linears = views.par_iter().zip(&state.deviations).map(linear).collect::<Option<_>>()?;
+        }
+        for (index, (view, linear)) in views.iter().zip(&linears).enumerate() {
+            let residual = linear.residual_at(&state.shared, &state.deviations[index]);
+            let derivative = &linear.derivative;
             let weight = weights(view, &residual, &state.noise, &mut state.misfit[index]);
             let mut weighted = derivative.clone();
             weighted.row_iter_mut().zip(&weight).for_each(|(mut row, weight)| row *= *weight);
-            let normal = weighted.transpose() * &derivative;
+            let normal = weighted.transpose() * derivative;
             let gradient = weighted.transpose() * &residual;
             let own = normal.fixed_view::<DEVIATIONS, DEVIATIONS>(0, 0) + deviations;
             let share = Share {
@@ -324,8 +357,12 @@ pub(super) fn adjust_from(frame: &Frame, views: &[ViewData], mut state: Adjusted
         let before = state.sigma;
         estimate_sigma(&mut state);
         estimate_noise(views, &shares, &mut state);
-        let change = before.iter().zip(&state.sigma).map(|(a, b)| (a / b).ln().abs()).fold(0.0, f64::max);
-        if round > 4 && change < SETTLED {
+        let first = default_sigma(frame.distance_m);
+        let change = (0..DEVIATIONS)
+            .filter(|&k| state.sigma[k] > NEGLIGIBLE * first[k])
+            .map(|k| (before[k] / state.sigma[k]).ln().abs())
+            .fold(0.0, f64::max);
+        if round >= RELINEARISED && change < SETTLED {
             break;
         }
     }
@@ -365,7 +402,7 @@ fn estimate_sigma(state: &mut Adjusted) {
 }
 
 /// The scale of the t distribution that the residuals follow, allowing for the unknowns that they have determined.
-fn estimate_noise(views: &[ViewData], shares: &[Share], state: &mut Adjusted) {
+fn estimate_noise(views: &[ViewData], shares: &[Share<'_>], state: &mut Adjusted) {
     let (mut squared, mut free) = ([0.0; 2], [0.0; 2]);
     for ((view, share), joint) in views.iter().zip(shares).zip(&state.joint) {
         for row in 0..8 * view.squares.len() {
@@ -460,9 +497,5 @@ pub(super) fn solo(frame: &Frame, view: &ViewData) -> Option<(Deviation, Vec<f64
     Some((deviation, misfit.iter().map(total).collect()))
 }
 
-/// Corners as a measured square of no known noise: for tests and simulations.
 #[cfg(test)]
-pub(super) fn exactly(square: usize, corners: &[DVec2; 4], sigma_px: f64) -> MeasuredSquare {
-    let corners = super::square::vector(corners);
-    MeasuredSquare { square, corners, covariance: CornerCovariance::identity() * sigma_px.powi(2) }
-}
+mod tests;

@@ -5,8 +5,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use nalgebra::SMatrix;
 use rayon::prelude::*;
 
-use super::adjust::{Adjusted, Frame, LENS, ViewData, adjust, solo};
+use super::adjust::{Adjusted, Frame, LENS, MeasuredPose, ViewData, adjust, solo};
+use super::lens::LensCovariance;
 use super::luminance::Luminance;
+use super::photometric::{BANDS, Grid, align};
 use super::registration::{DeviationSigma, DroppedView, RegisteredView, Registration, made_from};
 use super::rig_model::{DEVIATIONS, Deviation, RigModel};
 use super::square::{Unseen, find, measure_square};
@@ -23,7 +25,7 @@ pub struct RegisterOptions {
     /// The squares around the surface, if there are any.
     pub squares: Option<Squares>,
     /// The lens, in place of the session's; and the covariance of fx fy cx cy k1 k2 p1 p2 k3 if it was calibrated.
-    pub lens: Option<(Lens, Option<[[f64; LENS]; LENS]>)>,
+    pub lens: Option<(Lens, Option<LensCovariance>)>,
 }
 
 /// A view that deviates by more than so many standard deviations of the others, and by more than these (degrees, part of the
@@ -40,7 +42,17 @@ const WORST_MISFIT: f64 = 20.0;
 /// Fewer squares do not fix a pose that can be checked.
 const FEWEST_SQUARES: usize = 2;
 
-/// Registers the session's finished views: squares found in the radiance, one adjustment over all views.
+/// The texture is looked at where squares leave the picture uncertain by more than this, pixels: it can hardly do better.
+const TEXTURE_HELPS_PX: f64 = 0.3;
+/// It is used where it leaves less than this part of what views and their neighbours disagreed on before.
+const TEXTURE_BETTER: f64 = 0.95;
+/// Fewer views have no neighbours that foretell them.
+const FEWEST_VIEWS_WITH_TEXTURE: usize = 8;
+/// Pixels of all views together that are kept in memory for it; larger pictures are reduced.
+const MOST_PIXELS: usize = 40_000_000;
+
+/// Registers the session's finished views: squares found in the radiance, one adjustment over all views; where there
+/// are no squares, the surface's own texture aligns what the commanded angles leave.
 ///
 /// # Errors
 /// [`Error::Input`] where the session lacks radiance, commanded angles, the camera's distance or a lens, or has several
@@ -109,7 +121,15 @@ pub fn register(
             data.squares = look.squares;
         }
     }
-    let adjusted = settle(&frame, &mut data, &mut dropped)?;
+    let mut adjusted = settle(&frame, &mut data, &mut dropped)?;
+    if displacement_px(session, &frame, &data, &adjusted, &dropped)? > TEXTURE_HELPS_PX {
+        let kept: Vec<usize> = (0..views.len()).filter(|&i| dropped[i].is_none()).collect();
+        let by_texture = align_texture(session, &frame, &views, &kept, &data, &adjusted, progress)?;
+        if let Some((refined, measured)) = by_texture {
+            adjusted = refined;
+            kept.iter().zip(measured).for_each(|(&index, measured)| data[index].measured = measured);
+        }
+    }
     Ok(report(&frame, &data, &adjusted, &dropped, made_from, &name))
 }
 
@@ -358,6 +378,73 @@ fn settle(frame: &Frame, data: &mut [ViewData], dropped: &mut [Option<String>]) 
             return Ok(adjusted);
         }
     }
+}
+
+/// By how much the surface's corners are displaced in the picture by what is not known of the poses: median over the views.
+fn displacement_px(
+    session: &Session,
+    frame: &Frame,
+    data: &[ViewData],
+    adjusted: &Adjusted,
+    dropped: &[Option<String>],
+) -> Result<f64> {
+    let surface = session.manifest.surface()?;
+    let corner = glam::DVec3::new(surface.width_m, surface.height_m, 0.0) / 2.0;
+    let views = report(frame, data, adjusted, dropped, String::new(), &|_| String::new()).views;
+    let of_view = |view: &RegisteredView| {
+        let [xx, _, yy] = view.place_covariance_px2(&frame.lens, corner)?;
+        Some((xx + yy).sqrt())
+    };
+    Ok(median(views.iter().filter_map(of_view).collect()))
+}
+
+/// The adjustment with what the surface's texture says, and that; `None` where it makes the views agree no better.
+fn align_texture(
+    session: &Session,
+    frame: &Frame,
+    views: &[usize],
+    kept: &[usize],
+    data: &[ViewData],
+    adjusted: &Adjusted,
+    progress: &dyn Progress,
+) -> Result<Option<(Adjusted, Vec<Option<MeasuredPose>>)>> {
+    if kept.len() < FEWEST_VIEWS_WITH_TEXTURE {
+        return Ok(None);
+    }
+    let grid = Grid::new(&session.manifest.surface()?);
+    let (width, height) = (frame.lens.width, frame.lens.height);
+    let budget = MOST_PIXELS / kept.len();
+    let by = ((width as usize * height as usize) as f64 / budget as f64).sqrt().ceil().max(1.0) as usize;
+    let pictures: Vec<Luminance> = kept
+        .par_iter()
+        .map(|&index| Ok(luminance(session, views[index], &frame.lens)?.reduced(by)))
+        .collect::<Result<_>>()?;
+    let mut refined = adjusted.clone();
+    let mut with: Vec<ViewData> = kept.iter().map(|&index| data[index].clone()).collect();
+    let rounds: usize = BANDS.iter().map(|band| band.2).sum();
+    let mut unexplained = vec![];
+    for (round, &(fine, coarse, _)) in
+        BANDS.iter().flat_map(|band| std::iter::repeat_n(band, band.2)).enumerate()
+    {
+        progress.step(views.len() + round, views.len() + rounds)?;
+        let lens = frame.lens(&refined.shared).reduced(by);
+        let poses: Vec<_> = with.iter().enumerate().map(|(i, view)| refined.seen(frame, i, view)).collect();
+        let alignment = align(&grid, &pictures, &lens, &poses, (fine, coarse));
+        unexplained.push(alignment.unexplained);
+        with.iter_mut().zip(alignment.measured).for_each(|(view, measured)| view.measured = measured);
+        match adjust(frame, &with) {
+            Some(better) => refined = better,
+            None => return Ok(None),
+        }
+    }
+    // Compared through the finest filter: as it was, and as it is now.
+    let lens = frame.lens(&adjusted.shared).reduced(by);
+    let &(fine, coarse, _) = BANDS.last().expect("there is a band");
+    let before: Vec<_> = with.iter().enumerate().map(|(i, view)| adjusted.seen(frame, i, view)).collect();
+    let before = align(&grid, &pictures, &lens, &before, (fine, coarse)).unexplained;
+    let after = unexplained.last().copied().unwrap_or(before);
+    let measured = with.iter().map(|view| view.measured).collect();
+    Ok((after < TEXTURE_BETTER * before).then_some((refined, measured)))
 }
 
 fn report(

@@ -215,3 +215,51 @@ pub(super) fn made_from(session: &Session) -> Result<String> {
     hasher.update(format!("{:?} {:?} {:?}", manifest.views, manifest.surface, manifest.distance_m));
     Ok(hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibration::rig_model::Seen;
+
+    fn view(covariance: PoseCovariance) -> RegisteredView {
+        RegisteredView {
+            name: "view000".into(),
+            corners: 16,
+            rms_px: 0.1,
+            texture: false,
+            pose: Pose::from_rig(0.4, 0.9, 0.9),
+            covariance,
+            covariance_given_lens: covariance,
+        }
+    }
+
+    #[test]
+    fn a_pose_s_error_moves_points_as_its_covariance_says() {
+        let lens = Lens { k1: -0.4, ..Lens::pinhole(640, 480, 1350.0) };
+        let point = DVec3::new(0.07, -0.05, 0.0);
+        for i in 0..6 {
+            let step = 1e-5;
+            let mut covariance = [[0.0; 6]; 6];
+            covariance[i][i] = step * step;
+            let view = view(covariance);
+            let mut difference = [0.0; 6];
+            difference[i] = step;
+            let seen = Seen::of(&view.pose);
+            let place = |seen: &Seen| lens.project(seen.to_camera(point)).unwrap();
+            let moved = place(&seen.after(&difference)) - place(&seen);
+            let [xx, xy, yy] = view.place_covariance_px2(&lens, point).unwrap();
+            let close = |a: f64, b: f64| (a - b).abs() < 2e-3 * (xx + yy);
+            assert!(close(xx, moved.x * moved.x) && close(yy, moved.y * moved.y), "{i}");
+            assert!(close(xy, moved.x * moved.y), "{i}: {xy} {moved}");
+        }
+    }
+
+    #[test]
+    fn a_direction_is_as_sure_as_the_shift_across_it() {
+        let mut covariance = [[0.0; 6]; 6];
+        (3..6).for_each(|i| covariance[i][i] = 1e-6);
+        // Two of the three directions are across.
+        let expected = 2f64.sqrt() * 1e-3 / 0.9;
+        assert!((view(covariance).direction_sigma_rad() / expected - 1.0).abs() < 1e-9);
+    }
+}

@@ -89,6 +89,7 @@ pub(super) struct Seen {
 }
 
 impl Seen {
+    #[cfg(test)]
     pub fn of(pose: &Pose) -> Self {
         let rotation = DMat3::from_quat(pose.camera_from_surface);
         Self { rotation, origin_m: -(rotation * pose.centre_m) }

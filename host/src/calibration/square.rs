@@ -188,18 +188,24 @@ fn weigh(pixels: &mut [Pixel], centre: DVec2) -> Result<Levels, Unseen> {
             break;
         }
         let contrast = (levels[0] - levels[3]).abs();
-        let spread = |part: &dyn Fn(f64) -> bool, otherwise: f64| {
-            let mut sizes: Vec<f64> =
-                pixels.iter().filter(|p| part(p.covered)).map(|p| p.residual.abs()).collect();
+        let grain = |part: &dyn Fn(f64) -> bool, otherwise: f64| {
+            let mut sizes: Vec<f64> = vec![];
+            let mut noise = 0.0;
+            for pixel in pixels.iter().filter(|p| part(p.covered)) {
+                sizes.push(pixel.residual.abs());
+                noise += pixel.variance;
+            }
             if sizes.len() < 5 {
                 return otherwise;
             }
+            noise /= sizes.len() as f64;
             let middle = sizes.len() / 2;
             // Of a normal distribution, the median size is 0.6745 of the standard deviation.
-            *sizes.select_nth_unstable_by(middle, f64::total_cmp).1 / 0.6745
+            let all = *sizes.select_nth_unstable_by(middle, f64::total_cmp).1 / 0.6745;
+            (all * all - noise).max(0.0).sqrt()
         };
-        let ground = spread(&|covered| covered < 0.1, 0.1 * contrast).max(1e-3 * contrast);
-        let square = spread(&|covered| covered > 0.9, 0.03 * contrast).max(1e-3 * contrast);
+        let ground = grain(&|covered| covered < 0.1, 0.1 * contrast).max(1e-3 * contrast);
+        let square = grain(&|covered| covered > 0.9, 0.03 * contrast).max(1e-3 * contrast);
         for pixel in &mut *pixels {
             let (inside, outside) = (pixel.covered, 1.0 - pixel.covered);
             let edge = 4.0 * EDGE_ERROR * contrast * inside * outside;
@@ -342,4 +348,105 @@ fn correlations(picture: &Luminance, corners: &[DVec2; 4], reach: i64) -> Option
             .map(|(dx, dy)| correlation(dx, dy))
             .collect(),
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::rngs::StdRng;
+    use rand::{Rng, SeedableRng};
+
+    fn normal(random: &mut StdRng) -> f64 {
+        let (a, b): (f64, f64) = (random.random(), random.random());
+        (-2.0 * (1.0 - a).ln()).sqrt() * (std::f64::consts::TAU * b).cos()
+    }
+
+    /// A dark square on bright ground by brute force: 8 x 8 rays for each pixel, grain on the ground and noise on all.
+    fn picture(corners: &[DVec2; 4], noise: f64, random: &mut StdRng) -> Luminance {
+        let (width, height) = (64, 56);
+        let quad = Quad::new(corners).unwrap();
+        let value = |i: usize, random: &mut StdRng| {
+            let at = DVec2::new((i % width) as f64, (i / width) as f64);
+            let inside = (0..64)
+                .filter(|ray| {
+                    quad.depth(at + (DVec2::new((ray % 8) as f64, (ray / 8) as f64) - 3.5) / 8.0) > 0.0
+                })
+                .count() as f64
+                / 64.0;
+            let ground = 1.0 + 0.002 * at.x + 0.6 * noise * normal(random);
+            (ground * (1.0 - inside) + 0.03 * inside + noise * normal(random)) as f32
+        };
+        Luminance {
+            width,
+            height,
+            value: (0..width * height).map(|i| value(i, random)).collect(),
+            variance: vec![(noise * noise) as f32; width * height],
+        }
+    }
+
+    /// A square of about 18 pixels seen at some slant, with even ground around it.
+    fn square(random: &mut StdRng) -> ([DVec2; 4], [DVec2; 4]) {
+        let turn = DVec2::from_angle(random.random::<f64>() * 6.0);
+        let flat = 0.4 + 0.6 * random.random::<f64>();
+        let lean = DVec2::from_angle(random.random::<f64>() * 6.0);
+        let centre = DVec2::new(32.0, 28.0) + DVec2::new(random.random(), random.random());
+        let corners = |half: f64| {
+            [(-half, -half), (half, -half), (half, half), (-half, half)].map(|(x, y)| {
+                let at = turn.rotate(DVec2::new(x, y * flat));
+                lean.rotate(at) + centre
+            })
+        };
+        (corners(9.0), corners(13.0))
+    }
+
+    #[test]
+    fn corners_are_found_within_what_is_stated() {
+        let mut random = StdRng::seed_from_u64(1);
+        let (mut scores, mut errors) = (vec![], vec![]);
+        for _ in 0..60 {
+            let (truth, ground) = square(&mut random);
+            let picture = picture(&truth, 0.05, &mut random);
+            let off = DVec2::new(random.random::<f64>() * 2.0 - 1.0, random.random::<f64>() * 2.0 - 1.0);
+            let found =
+                measure_square(&picture, 0, &truth.map(|c| c + off), &ground.map(|c| c + off)).unwrap();
+            let error = found.corners - vector(&truth);
+            errors.extend(error.iter().copied());
+            scores.push((error.transpose() * found.covariance.try_inverse().unwrap() * error)[0]);
+        }
+        let rms = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
+        let squared = scores.iter().sum::<f64>() / scores.len() as f64;
+        println!("corners within {rms:.3} pixels RMS; squared score {squared:.1} of 8");
+        assert!(rms < 0.08, "{rms}");
+        assert!((4.0..14.0).contains(&squared), "{squared}");
+    }
+
+    #[test]
+    fn squares_are_found_at_a_common_shift() {
+        let mut random = StdRng::seed_from_u64(2);
+        for _ in 0..5 {
+            let (truth, _) = square(&mut random);
+            let picture = picture(&truth, 0.05, &mut random);
+            let off = DVec2::new(7.0, -5.0);
+            let found = find(&picture, &[Some(truth.map(|c| c - off)), None], 12.0).unwrap();
+            assert!(found.score > 0.8, "{}", found.score);
+            assert!((found.shifts[0] - off).length() < 1.5, "{}", found.shifts[0]);
+        }
+    }
+
+    #[test]
+    fn what_is_not_a_dark_square_is_refused() {
+        let mut random = StdRng::seed_from_u64(3);
+        let (truth, ground) = square(&mut random);
+        let mut glare = picture(&truth, 0.02, &mut random);
+        glare.value.iter_mut().for_each(|value| *value = 2.0 - *value);
+        assert_eq!(measure_square(&glare, 0, &truth, &ground).unwrap_err(), Unseen::NoContrast);
+        let mut even = picture(&truth, 0.02, &mut random);
+        even.value.iter_mut().for_each(|value| *value = value.max(0.8));
+        assert!(measure_square(&even, 0, &truth, &ground).is_err());
+        let outside = truth.map(|c| c - DVec2::new(30.0, 0.0));
+        assert_eq!(measure_square(&even, 0, &outside, &outside).unwrap_err(), Unseen::Outside);
+        let mut unknown = picture(&truth, 0.02, &mut random);
+        unknown.variance.fill(f32::INFINITY);
+        assert!(measure_square(&unknown, 0, &truth, &ground).is_err());
+    }
 }

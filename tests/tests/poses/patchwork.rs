@@ -2,7 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use rigel::calibration::{RegisteredView, Registration, Squares};
+use rigel::calibration::{
+    BoardSize, LensCovariance, RegisteredView, Registration, Squares, calibrate_photographs,
+};
 use rigel::geometry::{Lens, Pose};
 use rigel::measure::{ResponseChoice, measure};
 use rigel::progress::Silent;
@@ -35,25 +37,13 @@ pub fn import_patchwork(patchwork: &Path, table: &Path, folder: &Path) -> Sessio
     session
 }
 
-/// The board photographs.
-#[allow(dead_code, reason = "not every test calibrates")]
-pub fn boards(patchwork: &Path) -> Vec<PathBuf> {
-    (0..14).map(|i| patchwork.join(format!("calibration/board{i:02}.jpg"))).collect()
-}
-
-/// The lens that OpenCV's calibration finds in the board photographs.
-pub fn lens() -> Lens {
-    Lens {
-        fx: 1349.4967,
-        fy: 1349.4116,
-        cx: 322.5898,
-        cy: 241.1859,
-        k1: -0.644894,
-        k2: 2.317631,
-        p1: -1.127774e-4,
-        p2: -2.846132e-4,
-        ..Lens::pinhole(640, 480, 1349.0)
-    }
+/// The lens that the board photographs show, and how sure it is.
+pub fn lens(patchwork: &Path) -> (Lens, Option<LensCovariance>) {
+    let boards: Vec<PathBuf> =
+        (0..14).map(|i| patchwork.join(format!("calibration/board{i:02}.jpg"))).collect();
+    let size = BoardSize { columns: 9, rows: 6 };
+    let found = calibrate_photographs(&boards, size, 0.018, None, &Silent).unwrap();
+    (found.lens, Some(found.covariance))
 }
 
 /// The poses to score with.

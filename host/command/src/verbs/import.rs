@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use rigel::Result;
+use rigel::calibration::Registration;
 use rigel::measure::{Options as MeasureOptions, ResponseChoice, Times, measure_with};
 use rigel::observation::{self, observe as build};
 use rigel::session::Session;
@@ -101,6 +102,11 @@ pub fn observe(arguments: &Observe) -> Result<()> {
     let map =
         build(&session, &out, &observation::Options { texels: arguments.texels }, &Bar::new("observing"))
             .map_err(|error| error.about(session.folder()))?;
+    if let Some(registration) = Registration::of(&session)? {
+        for view in &registration.dropped {
+            say!("warning: {} is left out: it {}", view.name, view.reason);
+        }
+    }
     let header = map.header();
     if header.views.iter().any(|view| view.gain != 1.0) {
         let gains: Vec<String> =

@@ -17,7 +17,7 @@ pub fn register(arguments: &Register) -> Result<()> {
         Some(path) => {
             let calibration = Calibration::read(path, 0.0)?;
             let (width, height) = session.picture_size()?;
-            Some((calibration.lens(width, height), None))
+            Some((calibration.lens(width, height), calibration.covariance()))
         }
         None => None,
     };
