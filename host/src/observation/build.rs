@@ -4,7 +4,6 @@ use std::fs::File;
 use std::io::{BufWriter, Seek, SeekFrom, Write};
 use std::path::Path;
 
-use glam::DVec3;
 use half::f16;
 use rayon::prelude::*;
 
@@ -73,12 +72,6 @@ pub fn observe(
         .any(|&view| session.photographs(view).iter().any(|photograph| photograph.exposure_s.is_none()))
     {
         for (view, gain) in observed.iter_mut().zip(gain::estimate(&logarithms(&coarse), &names)?) {
-            view.gain = gain;
-        }
-    } else {
-        let directions: Vec<DVec3> = observed.iter().map(|view| view.centre_m).collect();
-        let drift = gain::drift(&logarithms(&coarse), &names, &directions);
-        for (view, gain) in observed.iter_mut().zip(drift.into_iter().flatten()) {
             view.gain = gain;
         }
     }

@@ -112,7 +112,7 @@ pub fn observe(arguments: &Observe) -> Result<()> {
         let gains: Vec<String> =
             header.views.iter().map(|view| format!("{} {:.3}", view.name, view.gain)).collect();
         say!(
-            "note: the views' brightness differs, which is taken out (exposure times unknown, or the lamp drifted): {}",
+            "note: the views' brightness differs, which is taken out (exposure times unknown): {}",
             gains.join(", ")
         );
     }
