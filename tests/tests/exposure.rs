@@ -176,7 +176,7 @@ fn a_stated_error_is_reached_with_fewer_photographs() {
 fn a_planned_capture_that_is_interrupted_goes_on_as_if_nothing_had_been() {
     let folder = tempfile::tempdir().unwrap();
     let wish = Some(Precision { relative_error: 0.02, share: 0.95 });
-    let [whole, resumed] = [usize::MAX, 12]
+    let [whole, resumed] = [usize::MAX, 17]
         .map(|steps| photograph(&folder.path().join(format!("after {steps}")), None, wish, steps));
     assert_eq!(resumed.photographs, whole.photographs);
     assert!(resumed.values == whole.values);

@@ -1,10 +1,11 @@
 //! The tracker on the rig: its records with the host's time.
 
+use std::cell::Cell;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use rigel_protocol::{Command, Fault, Format, Output, Record, Reply, TrackerStatus, Tracking};
 
@@ -29,10 +30,13 @@ const GOODBYE: Duration = Duration::from_millis(250);
 pub struct Records {
     link: Link,
     receiver: Receiver<(Record, Option<Moment>)>,
+    /// Of each station the last record's time, and by how much that can be wrong, seconds.
+    last: Cell<[Option<(SystemTime, f64)>; 2]>,
 }
 
 impl Records {
-    /// The next record, or `None` when none comes within `time`.
+    /// The next record, or `None` when none comes within `time`. A station's times grow: where the rig's clock was learnt
+    /// better since the last record, the next one waits for it within the bounds of both, and its bound says so.
     pub fn next(&self, time: Duration) -> Option<TrackerRecord> {
         let deadline = Instant::now() + time;
         loop {
@@ -44,8 +48,13 @@ impl Records {
             // A record from before the first ping of a rig that has restarted has no time: it is the old conversation's.
             let Some(moment) = moment else { continue };
             let at = self.link.ear().system_time(moment);
+            let mut last = self.last.get();
+            let before = &mut last[usize::from(record.station == 2)];
+            let (at, bound_s) = after(*before, at, moment.bound_s);
+            *before = Some((at, bound_s));
             // No rig forwards the quaternion zero: it is left out, and its number is a gap.
-            if let Some(record) = TrackerRecord::new(at, moment.bound_s, &record) {
+            if let Some(record) = TrackerRecord::new(at, bound_s, &record) {
+                self.last.set(last);
                 return Some(record);
             }
         }
@@ -108,7 +117,7 @@ impl SerialRig {
     pub fn records(&mut self) -> Records {
         let (sender, receiver) = channel();
         self.link.ear().send_records(sender);
-        Records { link: self.link.clone(), receiver }
+        Records { link: self.link.clone(), receiver, last: Cell::default() }
     }
 
     /// How the tracker is.
@@ -124,6 +133,19 @@ impl SerialRig {
             }
         }
         Err(self.link.error("the rig restarts again and again", "check its power supply"))
+    }
+}
+
+/// A record's time and its bound, seconds, after the one before it: one that seems to be earlier, by no more than both can
+/// be wrong, is put right behind it.
+fn after(before: Option<(SystemTime, f64)>, at: SystemTime, bound_s: f64) -> (SystemTime, f64) {
+    let Some((last, last_bound_s)) = before else { return (at, bound_s) };
+    let next = last + Duration::from_micros(1);
+    match next.duration_since(at) {
+        Ok(early) if !early.is_zero() && early.as_secs_f64() <= bound_s + last_bound_s => {
+            (next, bound_s + early.as_secs_f64())
+        }
+        _ => (at, bound_s),
     }
 }
 
@@ -162,5 +184,23 @@ impl Drop for Pinger {
                 std::thread::sleep(Duration::from_millis(1));
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_grow_as_far_as_the_bounds_allow() {
+        let time = |ms: u64| SystemTime::UNIX_EPOCH + Duration::from_millis(ms);
+        assert_eq!(after(None, time(5), 0.001), (time(5), 0.001));
+        assert_eq!(after(Some((time(4), 0.001)), time(5), 0.001), (time(5), 0.001));
+        let (at, bound_s) = after(Some((time(7), 0.002)), time(5), 0.001);
+        assert!(at > time(7) && at < time(8), "{at:?}");
+        // The bound still holds what was measured.
+        assert!(bound_s >= 0.003 && bound_s < 0.0031, "{bound_s}");
+        // Something else than the bounds is wrong: nothing is covered up.
+        assert_eq!(after(Some((time(90), 0.002)), time(5), 0.001), (time(5), 0.001));
     }
 }
