@@ -6,7 +6,6 @@ pub mod chessboard;
 mod edge;
 pub mod lens;
 mod luminance;
-mod photometric;
 mod register;
 mod registration;
 mod rig_model;

@@ -118,20 +118,6 @@ impl Lens {
         }
     }
 
-    /// The same lens for a photograph of which blocks of `by` x `by` pixels are one.
-    pub fn reduced(&self, by: usize) -> Self {
-        let part = 1.0 / by as f64;
-        Self {
-            width: self.width / by as u32,
-            height: self.height / by as u32,
-            fx: self.fx * part,
-            fy: self.fy * part,
-            cx: (self.cx + 0.5) * part - 0.5,
-            cy: (self.cy + 0.5) * part - 0.5,
-            ..*self
-        }
-    }
-
     fn distort(&self, u: DVec2) -> DVec2 {
         let r2 = u.length_squared();
         let radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3));

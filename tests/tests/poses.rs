@@ -117,7 +117,7 @@ fn bad_views_are_dropped_by_name_and_the_others_stay(
     assert!(Registration::of(&session).unwrap_err().to_string().contains("angles"));
 }
 
-/// Commanded angles and what the surface shows.
+/// Nothing but the commanded angles.
 fn without_squares_poses_are_less_sure_and_say_so(
     session: &Session,
     lens: (Lens, Option<LensCovariance>),
@@ -126,13 +126,12 @@ fn without_squares_poses_are_less_sure_and_say_so(
     let start = Instant::now();
     let found = register(session, &RegisterOptions { squares: None, lens: Some(lens) }, &Silent).unwrap();
     let [median, p95, most, within] = summary(truth, &found);
-    let texture = found.views.iter().filter(|view| view.texture).count();
     println!(
-        "without squares in {:.1?}: median {median:.3}, p95 {p95:.3}, maximum {most:.3} degrees; {:.0} % within one sigma; {texture} by texture",
+        "without squares in {:.1?}: median {median:.3}, p95 {p95:.3}, maximum {most:.3} degrees; {:.0} % within one sigma",
         start.elapsed(),
         100.0 * within
     );
     println!("{:?} {:?}", found.deviations, found.rig);
     assert!(found.views.len() == 75 && found.views.iter().all(|view| view.corners == 0));
-    assert!(median < 0.25 && within >= 0.55, "{median} {within}");
+    assert!(median < 0.5 && within >= 0.6, "{median} {within}");
 }

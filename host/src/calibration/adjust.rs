@@ -30,15 +30,6 @@ pub(super) struct ViewData {
     pub pan_rad: f64,
     pub tilt_rad: f64,
     pub squares: Vec<MeasuredSquare>,
-    /// A pose that was measured in another way.
-    pub measured: Option<MeasuredPose>,
-}
-
-/// A pose and the inverse of its covariance (order of [`PoseCovariance`]).
-#[derive(Debug, Clone, Copy)]
-pub(super) struct MeasuredPose {
-    pub at: Seen,
-    pub information: Matrix6<f64>,
 }
 
 /// What does not depend on the view.
@@ -59,6 +50,8 @@ pub(super) struct Adjusted {
     pub sigma: [f64; DEVIATIONS],
     /// By which factor the squares' places, and their shapes, are worse than their covariance says.
     pub noise: [f64; 2],
+    /// By which factor the squares of a view are worse than those of the others: its light differs, or it is blurred.
+    pub view_noise: Vec<f64>,
     /// Per view the covariance of its deviation and the shared unknowns.
     pub joint: Vec<Joint>,
     /// Per view and square, residuals squared over their expected value: 1 on average, of its place and of its shape.
@@ -81,6 +74,8 @@ const SMALLEST: [f64; DEVIATIONS] = [1e-6, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6];
 const FEWEST_VIEWS: usize = 6;
 /// Degrees of freedom of the weights' t distribution.
 const TAIL: f64 = 5.0;
+/// A view's noise is as good as the others' until so many residuals say otherwise.
+const VIEW_PRIOR: f64 = 8.0;
 /// A corner is never known better than this, pixels.
 const FLOOR_PX: f64 = 0.01;
 /// Steps of the numerical derivatives: turns, shifts, then fx fy cx cy k1 k2 p1 p2 k3, edge, size.
@@ -136,14 +131,11 @@ impl Frame<'_> {
     ) -> Option<DVector<f64>> {
         let seen = self.rig(shared).see(view.pan_rad, view.tilt_rad, deviation);
         let lens = self.lens(shared);
-        let mut all = Vec::with_capacity(8 * view.squares.len() + 6);
+        let mut all = Vec::with_capacity(8 * view.squares.len());
         for measured in &view.squares {
             let corners =
                 self.corners(measured.square, &seen, &lens, shared[RIG + LENS], shared[RIG + LENS + 1])?;
             all.extend(corners.iter().flat_map(|corner| corner.to_array()));
-        }
-        if let Some(measured) = &view.measured {
-            all.extend(measured.at.difference(&seen));
         }
         Some(DVector::from_vec(all))
     }
@@ -176,17 +168,6 @@ impl Frame<'_> {
             residual.fixed_rows_mut::<8>(8 * i).copy_from(&(whitener * own));
             let rows = whitener * derivative.fixed_rows::<8>(8 * i);
             derivative.fixed_rows_mut::<8>(8 * i).copy_from(&rows);
-        }
-        if let Some(measured) = &view.measured {
-            let first = 8 * view.squares.len();
-            // A pose may be measured in some directions only.
-            let root = measured.information.symmetric_eigen();
-            let values = root.eigenvalues.map(|value| value.max(0.0).sqrt());
-            let whitener = Matrix6::from_diagonal(&values) * root.eigenvectors.transpose();
-            let own = whitener * residual.fixed_rows::<6>(first);
-            residual.fixed_rows_mut::<6>(first).copy_from(&own);
-            let rows = whitener * derivative.fixed_rows::<6>(first);
-            derivative.fixed_rows_mut::<6>(first).copy_from(&rows);
         }
         Some((residual, derivative))
     }
@@ -282,6 +263,7 @@ pub(super) fn adjust(frame: &Frame, views: &[ViewData]) -> Option<Adjusted> {
         deviations: vec![[0.0; DEVIATIONS]; views.len()],
         sigma: default_sigma(frame.distance_m),
         noise: [1.0; 2],
+        view_noise: vec![1.0; views.len()],
         joint: vec![],
         misfit: views.iter().map(|view| vec![[1.0; 2]; view.squares.len()]).collect(),
     };
@@ -311,7 +293,8 @@ pub(super) fn adjust_from(frame: &Frame, views: &[ViewData], mut state: Adjusted
         for (index, (view, linear)) in views.iter().zip(&linears).enumerate() {
             let residual = linear.residual_at(&state.shared, &state.deviations[index]);
             let derivative = &linear.derivative;
-            let weight = weights(view, &residual, &state.noise, &mut state.misfit[index]);
+            let noise = state.noise.map(|noise| noise * state.view_noise[index]);
+            let weight = weights(view, &residual, &noise, &mut state.misfit[index]);
             let mut weighted = derivative.clone();
             weighted.row_iter_mut().zip(&weight).for_each(|(mut row, weight)| row *= *weight);
             let normal = weighted.transpose() * derivative;
@@ -369,7 +352,7 @@ pub(super) fn adjust_from(frame: &Frame, views: &[ViewData], mut state: Adjusted
     Some(state)
 }
 
-/// A square counts less the less it agrees; place and shape by themselves. A measured pose counts as it is.
+/// A square counts less the less it agrees; place and shape by themselves.
 fn weights(view: &ViewData, residual: &DVector<f64>, noise: &[f64; 2], misfit: &mut [[f64; 2]]) -> Vec<f64> {
     let mut weights = vec![1.0; residual.len()];
     for i in 0..view.squares.len() {
@@ -401,17 +384,26 @@ fn estimate_sigma(state: &mut Adjusted) {
     }
 }
 
-/// The scale of the t distribution that the residuals follow, allowing for the unknowns that they have determined.
+/// The scale of the t distribution that the residuals follow, allowing for the unknowns that they have determined: of all
+/// views, and of each as far as its few squares tell.
 fn estimate_noise(views: &[ViewData], shares: &[Share<'_>], state: &mut Adjusted) {
     let (mut squared, mut free) = ([0.0; 2], [0.0; 2]);
-    for ((view, share), joint) in views.iter().zip(shares).zip(&state.joint) {
+    for (index, ((view, share), joint)) in views.iter().zip(shares).zip(&state.joint).enumerate() {
+        let (mut own_squared, mut own_free) = (0.0, 0.0);
+        let own = state.view_noise[index].powi(2);
         for row in 0..8 * view.squares.len() {
             let part = usize::from(row % 8 >= 2);
             let derivative = share.derivative.fixed_view::<1, ALL>(row, 0);
             let determined = (derivative * joint * derivative.transpose())[0] * share.weight[row];
-            squared[part] += share.weight[row] * state.noise[part].powi(2) * share.residual[row].powi(2);
-            free[part] += (1.0 - determined).max(0.0);
+            // The residual's square in units of the noise, and the part of it that is free.
+            let relative = share.weight[row] * share.residual[row].powi(2);
+            let left = (1.0 - determined).max(0.0);
+            squared[part] += relative * state.noise[part].powi(2);
+            free[part] += left;
+            own_squared += relative * own;
+            own_free += left;
         }
+        state.view_noise[index] = ((own_squared + VIEW_PRIOR) / (own_free + VIEW_PRIOR)).sqrt();
     }
     for part in 0..2 {
         if free[part] >= 8.0 {
@@ -453,8 +445,7 @@ impl Adjusted {
 
     /// What the squares of a view leave, root mean square over their corners, pixels; 0 without squares.
     pub fn rms_px(&self, frame: &Frame, view: usize, data: &ViewData) -> f64 {
-        let plain = ViewData { measured: None, ..data.clone() };
-        let predicted = frame.predict(&plain, &self.shared, &self.deviations[view]);
+        let predicted = frame.predict(data, &self.shared, &self.deviations[view]);
         let (Some(predicted), false) = (predicted, data.squares.is_empty()) else { return 0.0 };
         let squared = data
             .squares

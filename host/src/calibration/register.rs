@@ -5,10 +5,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use nalgebra::SMatrix;
 use rayon::prelude::*;
 
-use super::adjust::{Adjusted, Frame, LENS, MeasuredPose, ViewData, adjust, solo};
+use super::adjust::{Adjusted, Frame, LENS, ViewData, adjust, solo};
 use super::lens::LensCovariance;
 use super::luminance::Luminance;
-use super::photometric::{BANDS, Grid, align};
 use super::registration::{DeviationSigma, DroppedView, RegisteredView, Registration, made_from};
 use super::rig_model::{DEVIATIONS, Deviation, RigModel};
 use super::square::{Unseen, find, measure_square};
@@ -39,20 +38,13 @@ const REACH: f64 = 2.0;
 const LEAST_SCORE: f64 = 0.55;
 /// A square that is so many times less likely than expected (by corners good to 0.2 pixels) is something else.
 const WORST_MISFIT: f64 = 20.0;
+/// So many squares that agree with each other are no accident, however they look.
+const SQUARES_THAT_AGREE: usize = 3;
 /// Fewer squares do not fix a pose that can be checked.
 const FEWEST_SQUARES: usize = 2;
 
-/// The texture is looked at where squares leave the picture uncertain by more than this, pixels: it can hardly do better.
-const TEXTURE_HELPS_PX: f64 = 0.3;
-/// It is used where it leaves less than this part of what views and their neighbours disagreed on before.
-const TEXTURE_BETTER: f64 = 0.95;
-/// Fewer views have no neighbours that foretell them.
-const FEWEST_VIEWS_WITH_TEXTURE: usize = 8;
-/// Pixels of all views together that are kept in memory for it; larger pictures are reduced.
-const MOST_PIXELS: usize = 40_000_000;
-
-/// Registers the session's finished views: squares found in the radiance, one adjustment over all views; where there
-/// are no squares, the surface's own texture aligns what the commanded angles leave.
+/// Registers the session's finished views: squares found in the radiance, one adjustment over all views. Without
+/// squares a view is where its commanded angles put it, as sure as such angles usually are.
 ///
 /// # Errors
 /// [`Error::Input`] where the session lacks radiance, commanded angles, the camera's distance or a lens, or has several
@@ -121,15 +113,7 @@ pub fn register(
             data.squares = look.squares;
         }
     }
-    let mut adjusted = settle(&frame, &mut data, &mut dropped)?;
-    if displacement_px(session, &frame, &data, &adjusted, &dropped)? > TEXTURE_HELPS_PX {
-        let kept: Vec<usize> = (0..views.len()).filter(|&i| dropped[i].is_none()).collect();
-        let by_texture = align_texture(session, &frame, &views, &kept, &data, &adjusted, progress)?;
-        if let Some((refined, measured)) = by_texture {
-            adjusted = refined;
-            kept.iter().zip(measured).for_each(|(&index, measured)| data[index].measured = measured);
-        }
-    }
+    let adjusted = settle(&frame, &mut data, &mut dropped)?;
     Ok(report(&frame, &data, &adjusted, &dropped, made_from, &name))
 }
 
@@ -294,24 +278,26 @@ const WHAT_DEVIATES: [&str; DEVIATIONS] = [
 ];
 
 impl Look {
+    /// Whether the squares are there: they look so, or are too many to agree by chance. Glare spoils the look of some.
+    fn is_there(&self) -> bool {
+        self.deviation.is_some() && (self.score >= LEAST_SCORE || self.squares.len() >= SQUARES_THAT_AGREE)
+    }
+
     fn is_within(&self, limits: &Limits) -> bool {
-        self.score >= LEAST_SCORE
-            && self.deviation.is_some_and(|deviation| limits.exceeded(&deviation).is_none())
+        self.is_there() && self.deviation.is_some_and(|deviation| limits.exceeded(&deviation).is_none())
     }
 
     fn complaint(&self, limits: &Limits) -> String {
-        match self.deviation {
-            Some(deviation) if self.score >= LEAST_SCORE => match limits.exceeded(&deviation) {
-                Some(k) => deviates(k, deviation[k] - limits.middle[k], limits.most[k]),
-                None => "agrees with its angles".into(),
-            },
-            _ => format!(
-                "shows {} squares where its angles put them, {} are hidden or elsewhere and {} outside the picture",
-                self.squares.len(),
-                self.hidden,
-                self.outside
-            ),
+        let deviation = self.deviation.filter(|_| self.is_there());
+        if let Some((deviation, k)) = deviation.and_then(|d| Some((d, limits.exceeded(&d)?))) {
+            return deviates(k, deviation[k] - limits.middle[k], limits.most[k]);
         }
+        format!(
+            "shows {} squares that agree where its angles put them, {} are hidden or elsewhere and {} outside the picture",
+            self.squares.len(),
+            self.hidden,
+            self.outside
+        )
     }
 }
 
@@ -380,73 +366,6 @@ fn settle(frame: &Frame, data: &mut [ViewData], dropped: &mut [Option<String>]) 
     }
 }
 
-/// By how much the surface's corners are displaced in the picture by what is not known of the poses: median over the views.
-fn displacement_px(
-    session: &Session,
-    frame: &Frame,
-    data: &[ViewData],
-    adjusted: &Adjusted,
-    dropped: &[Option<String>],
-) -> Result<f64> {
-    let surface = session.manifest.surface()?;
-    let corner = glam::DVec3::new(surface.width_m, surface.height_m, 0.0) / 2.0;
-    let views = report(frame, data, adjusted, dropped, String::new(), &|_| String::new()).views;
-    let of_view = |view: &RegisteredView| {
-        let [xx, _, yy] = view.place_covariance_px2(&frame.lens, corner)?;
-        Some((xx + yy).sqrt())
-    };
-    Ok(median(views.iter().filter_map(of_view).collect()))
-}
-
-/// The adjustment with what the surface's texture says, and that; `None` where it makes the views agree no better.
-fn align_texture(
-    session: &Session,
-    frame: &Frame,
-    views: &[usize],
-    kept: &[usize],
-    data: &[ViewData],
-    adjusted: &Adjusted,
-    progress: &dyn Progress,
-) -> Result<Option<(Adjusted, Vec<Option<MeasuredPose>>)>> {
-    if kept.len() < FEWEST_VIEWS_WITH_TEXTURE {
-        return Ok(None);
-    }
-    let grid = Grid::new(&session.manifest.surface()?);
-    let (width, height) = (frame.lens.width, frame.lens.height);
-    let budget = MOST_PIXELS / kept.len();
-    let by = ((width as usize * height as usize) as f64 / budget as f64).sqrt().ceil().max(1.0) as usize;
-    let pictures: Vec<Luminance> = kept
-        .par_iter()
-        .map(|&index| Ok(luminance(session, views[index], &frame.lens)?.reduced(by)))
-        .collect::<Result<_>>()?;
-    let mut refined = adjusted.clone();
-    let mut with: Vec<ViewData> = kept.iter().map(|&index| data[index].clone()).collect();
-    let rounds: usize = BANDS.iter().map(|band| band.2).sum();
-    let mut unexplained = vec![];
-    for (round, &(fine, coarse, _)) in
-        BANDS.iter().flat_map(|band| std::iter::repeat_n(band, band.2)).enumerate()
-    {
-        progress.step(views.len() + round, views.len() + rounds)?;
-        let lens = frame.lens(&refined.shared).reduced(by);
-        let poses: Vec<_> = with.iter().enumerate().map(|(i, view)| refined.seen(frame, i, view)).collect();
-        let alignment = align(&grid, &pictures, &lens, &poses, (fine, coarse));
-        unexplained.push(alignment.unexplained);
-        with.iter_mut().zip(alignment.measured).for_each(|(view, measured)| view.measured = measured);
-        match adjust(frame, &with) {
-            Some(better) => refined = better,
-            None => return Ok(None),
-        }
-    }
-    // Compared through the finest filter: as it was, and as it is now.
-    let lens = frame.lens(&adjusted.shared).reduced(by);
-    let &(fine, coarse, _) = BANDS.last().expect("there is a band");
-    let before: Vec<_> = with.iter().enumerate().map(|(i, view)| adjusted.seen(frame, i, view)).collect();
-    let before = align(&grid, &pictures, &lens, &before, (fine, coarse)).unexplained;
-    let after = unexplained.last().copied().unwrap_or(before);
-    let measured = with.iter().map(|view| view.measured).collect();
-    Ok((after < TEXTURE_BETTER * before).then_some((refined, measured)))
-}
-
 fn report(
     frame: &Frame,
     data: &[ViewData],
@@ -462,7 +381,6 @@ fn report(
             name: name(view),
             corners: 4 * data[view].squares.len(),
             rms_px: adjusted.rms_px(frame, index, &data[view]),
-            texture: data[view].measured.is_some(),
             pose: adjusted.seen(frame, index, &data[view]).pose(),
             covariance,
             covariance_given_lens,

@@ -61,8 +61,6 @@ pub struct RegisteredView {
     pub corners: usize,
     /// What they leave, root mean square, pixels; 0 without corners.
     pub rms_px: f64,
-    /// Whether the surface's texture refined the pose.
-    pub texture: bool,
     /// The pose.
     pub pose: Pose,
     /// Its covariance.
@@ -226,7 +224,6 @@ mod tests {
             name: "view000".into(),
             corners: 16,
             rms_px: 0.1,
-            texture: false,
             pose: Pose::from_rig(0.4, 0.9, 0.9),
             covariance,
             covariance_given_lens: covariance,

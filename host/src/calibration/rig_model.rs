@@ -120,6 +120,7 @@ impl Seen {
     }
 
     /// The pose after a difference.
+    #[cfg(test)]
     pub fn after(&self, difference: &[f64; 6]) -> Self {
         let [a, b, c, x, y, z] = *difference;
         let rotation = turn([a, b, c]) * self.rotation;

@@ -45,7 +45,7 @@ fn simulate(frame: &Frame, views: usize, sigma_px: f64, random: &mut StdRng) -> 
             let covariance = CornerCovariance::identity() * sigma_px.powi(2);
             MeasuredSquare { square, corners: vector(&corners) + noise, covariance }
         });
-        data.push(ViewData { pan_rad, tilt_rad, squares: squares.collect(), measured: None });
+        data.push(ViewData { pan_rad, tilt_rad, squares: squares.collect() });
         truth.push(seen);
     }
     (data, truth)
