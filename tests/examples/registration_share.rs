@@ -2,6 +2,8 @@
 //!
 //! `RIGEL_DATA=... cargo run --release -p rigel-tests --example registration_share`
 
+#![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
+
 #[path = "../tests/poses/patchwork.rs"]
 mod patchwork;
 

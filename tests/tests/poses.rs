@@ -1,5 +1,7 @@
 //! Poses of the patchwork capture from its photographs alone.
 
+#![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
+
 #[path = "poses/patchwork.rs"]
 mod patchwork;
 

@@ -355,13 +355,13 @@ pub(super) fn adjust_from(frame: &Frame, views: &[ViewData], mut state: Adjusted
 /// A square counts less the less it agrees; place and shape by themselves.
 fn weights(view: &ViewData, residual: &DVector<f64>, noise: &[f64; 2], misfit: &mut [[f64; 2]]) -> Vec<f64> {
     let mut weights = vec![1.0; residual.len()];
-    for i in 0..view.squares.len() {
+    for (i, misfit) in misfit.iter_mut().enumerate().take(view.squares.len()) {
         for (part, rows) in [(0, 0..2), (1, 2..8)] {
             let n = rows.len() as f64;
             let rows = 8 * i + rows.start..8 * i + rows.end;
             let variance = noise[part] * noise[part];
             let squared = rows.clone().map(|row| residual[row] * residual[row]).sum::<f64>() / variance;
-            misfit[i][part] = squared / n;
+            misfit[part] = squared / n;
             weights[rows].fill((TAIL + n) / (TAIL + squared) / variance);
         }
     }

@@ -350,11 +350,11 @@ fn settle(frame: &Frame, data: &mut [ViewData], dropped: &mut [Option<String>]) 
         })?;
         let mut again = false;
         for (deviation, &index) in adjusted.deviations.iter().zip(&kept) {
-            for k in 0..DEVIATIONS {
+            for (k, (&off, sigma)) in deviation.iter().zip(&adjusted.sigma).enumerate() {
                 let least = if k < 3 { DOUBTFUL_RAD } else { DOUBTFUL_SHIFT * frame.distance_m };
-                let most = least.max(DOUBTFUL_SIGMA * adjusted.sigma[k]);
-                if deviation[k].abs() > most {
-                    dropped[index] = Some(deviates(k, deviation[k], most));
+                let most = least.max(DOUBTFUL_SIGMA * sigma);
+                if off.abs() > most {
+                    dropped[index] = Some(deviates(k, off, most));
                     again = true;
                     break;
                 }

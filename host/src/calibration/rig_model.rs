@@ -102,7 +102,7 @@ impl Seen {
         }
     }
 
-    pub fn to_camera(&self, point_m: DVec3) -> DVec3 {
+    pub fn to_camera(self, point_m: DVec3) -> DVec3 {
         self.rotation * point_m + self.origin_m
     }
 

@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
 
+#[expect(dead_code, reason = "each test uses a part of it")]
 mod common;
 
 use std::fs;

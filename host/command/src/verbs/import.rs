@@ -111,10 +111,7 @@ pub fn observe(arguments: &Observe) -> Result<()> {
     if header.views.iter().any(|view| view.gain != 1.0) {
         let gains: Vec<String> =
             header.views.iter().map(|view| format!("{} {:.3}", view.name, view.gain)).collect();
-        say!(
-            "note: the views' brightness differs, which is taken out (exposure times unknown): {}",
-            gains.join(", ")
-        );
+        say!("note: exposure times are unknown; gains: {}", gains.join(", "));
     }
     say!(
         "wrote {}: {}x{} texels, {} views, {:.1} MB; {:.2} % of the observations are absent",

@@ -75,10 +75,11 @@ impl Search {
         let mut best = (FAINTEST, 0, 0);
         for y in edge(at.y - radius_px, height)..=edge(at.y + radius_px, height) {
             let row = self.saddles.row(y);
-            for x in edge(at.x - radius_px, width)..=edge(at.x + radius_px, width) {
+            let (first, last) = (edge(at.x - radius_px, width), edge(at.x + radius_px, width));
+            for (x, &here) in row.iter().enumerate().take(last + 1).skip(first) {
                 let near = (x as f64 - at.x).hypot(y as f64 - at.y) <= radius_px;
-                if near && row[x] > best.0 && self.is_peak(x, y) {
-                    best = (row[x], x, y);
+                if near && here > best.0 && self.is_peak(x, y) {
+                    best = (here, x, y);
                 }
             }
         }

@@ -46,7 +46,7 @@ pub fn calibrate_lens(
 ) -> Result<LensCalibration> {
     let enough = |count: usize, path: &Path| match count {
         0 => Err(Error::request("there is no board to calibrate with", "give photographs of a chessboard")),
-        ..LEAST_BOARDS => Err(Error::input(
+        1..LEAST_BOARDS => Err(Error::input(
             path,
             format!("is one of only {count} usable boards, which do not tell a lens from a tilt"),
             "photograph the board in ten positions, tilted to all sides and out to the corners of the picture",
