@@ -101,6 +101,7 @@ pub fn sweep(folder: &Path, report: &mut Report, progress: &dyn Progress) -> Res
         "p95_error_percent",
         "within_sigma_percent",
         "masked_percent",
+        "refused",
     ]);
     let mut points = vec![];
     for (index, (count, stops)) in BRACKETS.into_iter().enumerate() {
@@ -108,7 +109,15 @@ pub fn sweep(folder: &Path, report: &mut Report, progress: &dyn Progress) -> Res
         let brackets = shoot(count, stops, as_it_is)?;
         for (name, method) in METHODS {
             let pixels = brackets.iter().map(|b| b.truth.len()).sum::<usize>() as f64;
-            let (cpu_s, merged) = method(&brackets)?;
+            let (cpu_s, merged) = match method(&brackets) {
+                Ok(done) => done,
+                Err(refused) => {
+                    let unknown = ["-"; 6].map(str::to_owned);
+                    let start = [name.to_owned(), count.to_string(), stops.to_string()];
+                    table.row(start.into_iter().chain(unknown).chain([refused.to_string()]).collect());
+                    continue;
+                }
+            };
             let error = error(&brackets, &merged);
             table.row(vec![
                 name.to_owned(),
@@ -120,6 +129,7 @@ pub fn sweep(folder: &Path, report: &mut Report, progress: &dyn Progress) -> Res
                 format!("{:.3}", 100.0 * error.p95),
                 format!("{:.1}", 100.0 * error.within_sigma),
                 format!("{:.2}", 100.0 * error.masked),
+                String::new(),
             ]);
             points.push(ChartPoint {
                 method: name.to_owned(),
@@ -155,7 +165,13 @@ pub fn sweep(folder: &Path, report: &mut Report, progress: &dyn Progress) -> Res
     ]);
     for (index, (name, count, stops, disturb)) in REGIMES.into_iter().enumerate() {
         progress.step(BRACKETS.len() + index, total)?;
-        table.row(regime(name, &shoot(count, stops, disturb)?)?);
+        table.row(match regime(name, &shoot(count, stops, disturb)?) {
+            Ok(row) => row,
+            Err(refused) => {
+                let unknown = ["-"; 4].map(str::to_owned);
+                [name.to_owned()].into_iter().chain(unknown).chain([format!("refused: {refused}")]).collect()
+            }
+        });
     }
     report.heading("Radiance: where brackets are bad");
     let rows = table.rows().to_vec();
