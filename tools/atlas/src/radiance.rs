@@ -119,6 +119,13 @@ pub fn sweep(folder: &Path, report: &mut Report, progress: &dyn Progress) -> Res
                 }
             };
             let error = error(&brackets, &merged);
+            if !error.median.is_finite() {
+                let unknown = ["-"; 6].map(str::to_owned);
+                let start = [name.to_owned(), count.to_string(), stops.to_string()];
+                let why = "gives no number".to_owned();
+                table.row(start.into_iter().chain(unknown).chain([why]).collect());
+                continue;
+            }
             table.row(vec![
                 name.to_owned(),
                 count.to_string(),
