@@ -378,7 +378,11 @@ fn estimate_sigma(state: &mut Adjusted) {
         let squares: f64 = state.deviations.iter().map(|deviation| deviation[k].powi(2)).sum();
         let unknown: f64 = state.joint.iter().map(|joint| joint[(k, k)]).sum();
         // So many of the views say something of this degree of freedom.
-        let known = (views as f64 - unknown / variance).max(1e-3 * views as f64);
+        let known = views as f64 - unknown / variance;
+        if known < 1.0 {
+            // Nothing was measured: what was assumed stands.
+            continue;
+        }
         let sigma = (squares / known).sqrt();
         state.sigma[k] = sigma.clamp(state.sigma[k] / 5.0, state.sigma[k] * 5.0).max(SMALLEST[k]);
     }

@@ -17,7 +17,7 @@ use crate::{Error, Result};
 /// pixel is flagged and the channel's variance is infinite. A photograph's pure colours (a border shifted in by an
 /// alignment tool, say) are black or saturated in every channel and so never counted as measured.
 ///
-/// Where neighbouring pixels differ between photographs by more than noise, something moved: the pixel is flagged
+/// Where neighbouring pixels differ between photographs by more than noise (and the response is no guess), something moved: the pixel is flagged
 /// [`RadianceImage::GHOST`] and measured by the majority of photographs that agree; without a majority its variance is
 /// infinite.
 ///
@@ -58,7 +58,12 @@ pub fn merge(stack: &Stack, response: &Response, noise: &NoiseModel) -> Result<R
             }
         }
     });
-    ghost::settle(&mut image, &pictures, &channels);
+    if response.is_assumed() {
+        // Exposures that a curve only guessed contradict each other everywhere.
+        image.mask.iter_mut().for_each(|mask| *mask &= !ghost::ODD);
+    } else {
+        ghost::settle(&mut image, &pictures, &channels);
+    }
     Ok(image)
 }
 

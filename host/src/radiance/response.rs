@@ -17,6 +17,8 @@ pub struct Response {
     /// Of ln exposure at the knots of the recovery, less its mean over what it was learnt from: that factor is nothing but the
     /// unit. `None` where the response was given.
     covariance: Option<[DMatrix<f64>; 3]>,
+    /// Nobody has measured it: photographs that contradict each other may only contradict the guess.
+    assumed: bool,
 }
 
 impl Response {
@@ -26,7 +28,7 @@ impl Response {
             let middle = table[middle_level(table.len())];
             table.iter_mut().for_each(|x| *x /= middle);
         }
-        Self { exposure, covariance: None }
+        Self { exposure, covariance: None, assumed: false }
     }
 
     /// The same, recovered with this doubt.
@@ -57,7 +59,13 @@ impl Response {
     /// What cameras write that follow the standard (IEC 61966-2-1), for photographs without a bracket to learn from.
     /// `white` is the highest level, 255 or 65535.
     pub fn srgb(white: u16) -> Self {
-        Self::from_curve(white, |v| if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) })
+        let curve = |v: f64| if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) };
+        Self { assumed: true, ..Self::from_curve(white, curve) }
+    }
+
+    /// Whether nobody has measured it.
+    pub(super) fn is_assumed(&self) -> bool {
+        self.assumed
     }
 
     /// Levels proportional to exposure, for raw and floating-point pictures ([`Picture::FLOAT_WHITE`]).
@@ -65,7 +73,11 @@ impl Response {
         if white == Picture::FLOAT_WHITE {
             // The numbers keep their unit: no scaling to a middle.
             let table: Vec<f32> = (0..=white).map(|bits| f16::from_bits(bits).to_f32()).collect();
-            return Self { exposure: [table.clone(), table.clone(), table], covariance: None };
+            return Self {
+                exposure: [table.clone(), table.clone(), table],
+                covariance: None,
+                assumed: false,
+            };
         }
         Self::from_curve(white, |v| v)
     }
@@ -143,7 +155,7 @@ impl Response {
         if exposure.iter().any(|table| table[middle_level(levels)] <= 0.0) {
             return Err(Error::input(path, "its middle level stands for no exposure at all", remedy));
         }
-        Ok(Self { exposure, covariance: None })
+        Ok(Self { exposure, covariance: None, assumed: false })
     }
 }
 

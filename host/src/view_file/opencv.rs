@@ -27,7 +27,8 @@ pub(super) fn read(path: &Path, text: &str) -> Result<LensFile> {
     if matrix.len() != 9 || skew != 0.0 {
         return Err(wrong("has a camera_matrix that is not 3 x 3 without skew"));
     }
-    let distortion = numbers_of(text, &DISTORTION).unwrap_or_default();
+    let distortion =
+        numbers_of(text, &DISTORTION).ok_or_else(|| wrong("has no distortion_coefficients of numbers"))?;
     if let Some(beyond) = distortion.iter().skip(5).position(|number| *number != 0.0) {
         return Err(Error::input(
             path,

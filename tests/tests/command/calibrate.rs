@@ -74,7 +74,8 @@ fn what_is_written_is_read_back() {
     for name in ["residuals.csv", "residuals.svg", "sigma.svg"] {
         assert!(folder.path().join("residuals").join(name).exists(), "{name}");
     }
-    for model in LensModel::LADDER {
+    // A lens that bends as this one does is no pinhole: that model is refused.
+    for model in LensModel::LADDER.into_iter().skip(1) {
         let mut arguments = arguments[..arguments.len() - 2].to_vec();
         arguments.extend(["--model", model.name()]);
         assert!(succeed(folder.path(), &arguments).contains(&format!("model {};", model.name())));
@@ -86,7 +87,7 @@ fn boards_that_cannot_be_used_are_named_and_the_others_calibrate() {
     let folder = boards();
     let board = strew(&lens(), 7, 5, 9, 3)[8];
     let look = Look::default();
-    photograph(folder.path(), "blurred.png", &board, &Look { blur_px: 9.0, ..look });
+    photograph(folder.path(), "blurred.png", &board, &Look { blur_px: 16.0, ..look });
     photograph(folder.path(), "clipped.png", &board, &Look { exposure: 40.0, ..look });
     photograph(folder.path(), "dark.png", &board, &Look { exposure: 0.02, ..look });
     let other = Board::at(9, 8, 0.8, DVec3::new(0.3, 0.2, 0.0), DVec3::new(0.0, 0.0, 11.0));

@@ -24,24 +24,30 @@ pub fn register(arguments: &Register) -> Result<()> {
     let registration = find(&session, &RegisterOptions { squares, lens }, &Bar::new("registering"))
         .map_err(|error: Error| error.about(session.folder()))?;
     registration.write(&session)?;
-    summarise(&registration);
+    summarise(&registration, arguments.squares.is_some());
     say!("wrote {}", Registration::path(&session).display());
     Ok(())
 }
 
-fn summarise(registration: &Registration) {
+fn summarise(registration: &Registration, measured: bool) {
     for view in &registration.dropped {
         say!("warning: {} is left out: it {}", view.name, view.reason);
     }
-    let sigma = &registration.deviations;
-    say!(
-        "rig: pan and tilt are off by {:.3} and {:.3} degrees, the picture by {:.2}, {:.2} and {:.2} mm (standard deviations over the views)",
-        sigma.pan_rad.to_degrees(),
-        sigma.tilt_rad.to_degrees(),
-        1e3 * sigma.shift_m[0],
-        1e3 * sigma.shift_m[1],
-        1e3 * sigma.shift_m[2]
-    );
+    if measured {
+        let sigma = &registration.deviations;
+        say!(
+            "rig: pan and tilt are off by {:.3} and {:.3} degrees, the picture by {:.2}, {:.2} and {:.2} mm (standard deviations over the views)",
+            sigma.pan_rad.to_degrees(),
+            sigma.tilt_rad.to_degrees(),
+            1e3 * sigma.shift_m[0],
+            1e3 * sigma.shift_m[1],
+            1e3 * sigma.shift_m[2]
+        );
+    } else {
+        say!(
+            "warning: without squares nothing was measured: the views are where their commanded angles put them"
+        );
+    }
     let mut directions: Vec<f64> =
         registration.views.iter().map(|view| view.direction_sigma_rad().to_degrees()).collect();
     directions.sort_by(f64::total_cmp);

@@ -77,7 +77,8 @@ fn what_varies_is_told_from_what_does_not() {
     // What a view's residuals are worth is the common factor times its own.
     let own = found.view_noise.iter().map(|noise| noise * noise).sum::<f64>() / found.view_noise.len() as f64;
     let noise = found.noise.map(|noise| noise * own.sqrt());
-    assert!(noise.iter().all(|noise| (noise - 1.0).abs() < 0.15), "{noise:?} {:?}", found.noise);
+    // The views' own factors follow their luck and take some of the common one with them.
+    assert!(noise.iter().all(|noise| (0.8..1.1).contains(noise)), "{noise:?} {:?}", found.noise);
 }
 
 #[test]

@@ -94,7 +94,7 @@ pub(super) fn verdict(calibration: &LensCalibration) -> String {
             );
         }
     }
-    if calibration.excess > BENT {
+    if calibration.excess.sqrt() > BENT {
         text += &format!(
             "; the boards contradict each other {:.1} times more than the noise of their corners: glue the board to something flat",
             calibration.excess.sqrt()
