@@ -102,7 +102,10 @@ fn photograph(
     };
     add_views(&mut manifest, &tour(&icosphere(2, 0.5).unwrap(), &rig.limits()).unwrap());
     let mut session = Session::create(folder, manifest).unwrap();
+    let mut starts = 0;
     let doubts = loop {
+        starts += 1;
+        assert!(starts < 200, "it does not get on");
         match capture(&mut session, &mut rig, &mut camera, &InterruptAfter(steps.into())) {
             Err(Error::Interrupted) => session = Session::open(folder).unwrap(),
             outcome => break outcome.unwrap(),
