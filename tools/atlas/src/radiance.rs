@@ -17,7 +17,7 @@ use crate::machine::cpu_seconds;
 use crate::table::Table;
 
 /// Exposure times begin here: the lamps' highlights are saturated, the darkest material is well exposed.
-const LONGEST_S: f64 = 0.5;
+const LONGEST_S: f64 = 0.06;
 /// So long each way of merging is repeated, CPU time.
 const ENOUGH: Duration = Duration::from_millis(300);
 /// Directions from which the brackets are taken (pan, tilt, degrees): from above, in the lobes, grazing.
@@ -322,9 +322,11 @@ fn error(brackets: &[Bracket], merged: &[RadianceImage]) -> Error {
             scores.push(difference <= variance.sqrt());
         }
     }
-    for image in merged {
-        masked += image.mask.iter().filter(|&&mask| mask != 0).count();
-        pixels += image.mask.len();
+    for (image, bracket) in merged.iter().zip(brackets) {
+        // Beside the board there is nothing to measure.
+        let board = || image.mask.iter().zip(&bracket.truth).filter(|(_, truth)| truth[1] > 0.0);
+        masked += board().filter(|(mask, _)| **mask != 0).count();
+        pixels += board().count();
     }
     errors.sort_by(f64::total_cmp);
     let quantile = |q: f64| errors.get((errors.len() as f64 * q) as usize).copied().unwrap_or(f64::NAN);
