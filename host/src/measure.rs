@@ -153,8 +153,8 @@ pub fn measure_with(session: &Session, options: &Options, progress: &dyn Progres
             let path = folder.join(session.radiance_path(view).file_name().unwrap_or_default());
             if !path.is_file() {
                 let mut stack = stack(session, view)?;
-                // sRGB is nobody's response exactly: what contradicts it may be right.
-                if *choice != ResponseChoice::Srgb && times_are_known(session, view) {
+                // sRGB is nobody's response exactly, and few 8 bits are linear: what contradicts a guess may be right.
+                if !response.is_assumed() && times_are_known(session, view) {
                     let times = stack.times(&response, &noise);
                     let doubtful: Vec<MeasuredTime> =
                         times.iter().filter(|time| time.is_doubtful()).cloned().collect();
