@@ -207,10 +207,9 @@ fn whoever_listens_hears_of_the_cable_while_it_is_out() {
 
 #[test]
 fn a_rig_that_does_not_come_back_is_an_error_in_time() {
-    let mut simulated = simulated(8.0, Faults::default());
+    let (mut simulated, names) = (simulated(8.0, Faults::default()), Names::default());
     let timing = Timing { return_time: Duration::from_secs(2), ..Timing::default() };
-    let place = SerialPlace::new(simulated.port_name());
-    let mut rig = SerialRig::greet_at(Box::new(place), timing).unwrap();
+    let mut rig = greet_among(&simulated, &names, timing);
     rig.home().unwrap();
     simulated.unplug();
     let start = Instant::now();

@@ -2,6 +2,7 @@
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use glam::DVec2;
 use nalgebra::SMatrix;
 use rayon::prelude::*;
 
@@ -10,7 +11,7 @@ use super::lens::LensCovariance;
 use super::luminance::Luminance;
 use super::registration::{DeviationSigma, DroppedView, RegisteredView, Registration, made_from};
 use super::rig_model::{DEVIATIONS, Deviation, RigModel};
-use super::square::{Unseen, find, measure_square};
+use super::square::{Found, Search, Unseen, measure_square};
 use super::squares::Squares;
 use crate::geometry::Lens;
 use crate::progress::Progress;
@@ -34,7 +35,7 @@ const DOUBTFUL_RAD: f64 = 0.02;
 const DOUBTFUL_SHIFT: f64 = 0.012;
 /// Squares are looked for within so many times their size of where they are expected.
 const REACH: f64 = 2.0;
-/// The least correlation of a picture with that of its squares.
+/// The least correlation of squares that are there with the picture of one.
 const LEAST_SCORE: f64 = 0.55;
 /// A square that is so many times less likely than expected (by corners good to 0.2 pixels) is something else.
 const WORST_MISFIT: f64 = 20.0;
@@ -88,26 +89,30 @@ pub fn register(
                 "check the squares file, the lens, the distance and the table of angles",
             ));
         }
-        let others = |index: usize| -> Result<Option<usize>> {
+        let others = |&index: &usize| -> Result<Vec<usize>> {
             let picture = luminance(session, views[index], &frame.lens)?;
-            Ok(another(&frame, &picture, &angles, index, &limits))
+            Ok(others(&frame, &picture, &angles, index, &limits))
         };
-        let shown: Vec<Option<usize>> =
-            doubtful.par_iter().map(|&index| others(index)).collect::<Result<_>>()?;
-        for (&index, &other) in doubtful.iter().zip(&shown) {
-            let back =
-                other.and_then(|other| doubtful.iter().position(|&d| d == other)).and_then(|d| shown[d]);
-            dropped[index] = Some(match other {
-                Some(other) if back == Some(index) => format!(
-                    "shows the surface as the angles of {} would, which shows it as those of {} would: the two are swapped; correct the table and import again",
-                    name(other),
-                    name(index)
-                ),
-                Some(other) => {
-                    format!("shows the surface as the angles of {} would, not its own", name(other))
-                }
-                None => looks[index].complaint(&limits),
-            });
+        let shown: Vec<Vec<usize>> = doubtful.par_iter().map(others).collect::<Result<_>>()?;
+        for (d, &index) in doubtful.iter().enumerate() {
+            let mut others = shown[d].iter();
+            let is_swapped = |&&other: &&usize| {
+                doubtful.iter().position(|&o| o == other).is_some_and(|o| shown[o].contains(&index))
+            };
+            dropped[index] = Some(
+                match (others.clone().find(is_swapped), looks[index].excess(&limits), others.next()) {
+                    (Some(&other), ..) => format!(
+                        "shows the surface as the angles of {} would, which shows it as those of {} would: the two are swapped; correct the table and import again",
+                        name(other),
+                        name(index)
+                    ),
+                    (None, Some((k, off)), _) => deviates(k, off, limits.most[k]),
+                    (None, None, Some(&other)) => {
+                        format!("shows the surface as the angles of {} would, not its own", name(other))
+                    }
+                    (None, None, None) => looks[index].complaint(),
+                },
+            );
         }
         for (data, look) in data.iter_mut().zip(looks) {
             data.squares = look.squares;
@@ -196,27 +201,51 @@ fn luminance(session: &Session, view: usize, lens: &Lens) -> Result<Luminance> {
 /// What the squares of one view say by themselves.
 struct Look {
     squares: Vec<super::square::MeasuredSquare>,
+    /// Their mean correlation with the picture of a square.
     score: f64,
     deviation: Option<Deviation>,
     hidden: usize,
     outside: usize,
 }
 
+/// Squares may be so far from where a common shift puts them (pixels of some twentieth of a square): in a view that is
+/// where its angles say; and in one that is a few degrees off.
+const SPREADS: [i64; 2] = [4, 12];
+
 /// Finds and measures the squares of a view that should be at these angles.
 fn look(frame: &Frame, picture: &Luminance, angles: (f64, f64)) -> Look {
-    let mut view = at(angles);
+    let view = at(angles);
     let seen = RigModel::nominal(frame.distance_m).see(view.pan_rad, view.tilt_rad, &[0.0; DEVIATIONS]);
     let corners = |square: usize, out_m: f64| frame.corners(square, &seen, &frame.lens, 0.0, out_m);
     let layout = frame.layout;
-    let expected: Vec<_> = (0..layout.centres_m.len()).map(|square| corners(square, 0.0)).collect();
+    let squares = 0..layout.centres_m.len();
+    let expected: Vec<_> = squares.clone().map(|square| corners(square, 0.0)).collect();
+    let ground: Vec<_> = squares.map(|square| corners(square, layout.ground_m)).collect();
     let reach_px = REACH * layout.size_m / frame.distance_m * frame.lens.fx;
+    let search = Search::new(picture, &expected, reach_px);
+    let within = |spread| agreeing(frame, picture, view.clone(), &expected, &ground, &search.within(spread));
+    let [near, far] = SPREADS;
+    let first = within(near);
+    if first.is_there() { first } else { Some(within(far)).filter(Look::is_there).unwrap_or(first) }
+}
+
+/// Measures the squares where they were found and keeps those that agree.
+fn agreeing(
+    frame: &Frame,
+    picture: &Luminance,
+    mut view: ViewData,
+    expected: &[Option<[DVec2; 4]>],
+    ground: &[Option<[DVec2; 4]>],
+    found: &Found,
+) -> Look {
     let mut look = Look { squares: vec![], score: 0.0, deviation: None, hidden: 0, outside: 0 };
-    let Some(found) = find(picture, &expected, reach_px) else { return look };
-    look.score = found.score;
-    for (square, (expected, shift)) in expected.iter().zip(&found.shifts).enumerate() {
-        let (Some(expected), Some(ground)) = (expected, corners(square, layout.ground_m)) else { continue };
-        let moved = |corners: &[glam::DVec2; 4]| corners.map(|corner| corner + *shift);
-        match measure_square(picture, square, &moved(expected), &moved(&ground)) {
+    for (square, shift) in found.shifts.iter().enumerate() {
+        let (Some(expected), Some(ground)) = (&expected[square], &ground[square]) else {
+            look.outside += 1;
+            continue;
+        };
+        let moved = |corners: &[DVec2; 4]| corners.map(|corner| corner + *shift);
+        match measure_square(picture, square, &moved(expected), &moved(ground)) {
             Ok(measured) => view.squares.push(measured),
             Err(Unseen::Outside) => look.outside += 1,
             Err(_) => look.hidden += 1,
@@ -236,6 +265,8 @@ fn look(frame: &Frame, picture: &Luminance, angles: (f64, f64)) -> Look {
             }
         }
     }
+    let scores = view.squares.iter().map(|measured| found.scores[measured.square]);
+    look.score = scores.sum::<f64>() / view.squares.len().max(1) as f64;
     look.squares = view.squares;
     look
 }
@@ -284,14 +315,17 @@ impl Look {
     }
 
     fn is_within(&self, limits: &Limits) -> bool {
-        self.is_there() && self.deviation.is_some_and(|deviation| limits.exceeded(&deviation).is_none())
+        self.is_there() && self.excess(limits).is_none()
     }
 
-    fn complaint(&self, limits: &Limits) -> String {
-        let deviation = self.deviation.filter(|_| self.is_there());
-        if let Some((deviation, k)) = deviation.and_then(|d| Some((d, limits.exceeded(&d)?))) {
-            return deviates(k, deviation[k] - limits.middle[k], limits.most[k]);
-        }
+    /// In which degree of freedom squares that are there deviate too much, and by how much.
+    fn excess(&self, limits: &Limits) -> Option<(usize, f64)> {
+        let deviation = self.deviation.filter(|_| self.is_there())?;
+        let k = limits.exceeded(&deviation)?;
+        Some((k, deviation[k] - limits.middle[k]))
+    }
+
+    fn complaint(&self) -> String {
         format!(
             "shows {} squares that agree where its angles put them, {} are hidden or elsewhere and {} outside the picture",
             self.squares.len(),
@@ -320,21 +354,25 @@ fn deviates(k: usize, by: f64, most: f64) -> String {
     )
 }
 
-/// Which other view's angles explain what a view shows.
-fn another(
+/// Which other views' angles explain what a view shows, the best first. Squares that lie symmetrically are explained by
+/// two.
+fn others(
     frame: &Frame,
     picture: &Luminance,
     angles: &[(f64, f64)],
     index: usize,
     limits: &Limits,
-) -> Option<usize> {
+) -> Vec<usize> {
     let candidates = (0..angles.len()).filter(|&other| angles[other] != angles[index]);
-    let fits = candidates.filter_map(|other| {
-        let look = look(frame, picture, angles[other]);
-        let rank = look.squares.len() as f64 + look.score;
-        look.is_within(limits).then_some((other, rank))
-    });
-    fits.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(other, _)| other)
+    let mut fits: Vec<(usize, f64)> = candidates
+        .filter_map(|other| {
+            let look = look(frame, picture, angles[other]);
+            let rank = look.squares.len() as f64 + look.score;
+            look.is_within(limits).then_some((other, rank))
+        })
+        .collect();
+    fits.sort_by(|a, b| b.1.total_cmp(&a.1));
+    fits.into_iter().map(|(other, _)| other).collect()
 }
 
 /// Adjusts the views that are not dropped; drops those that the adjustment shows to be doubtful, and adjusts again.
