@@ -49,8 +49,8 @@ fn poses_from_photographs_alone_and_what_is_fitted_with_them() {
     assert!(registration.dropped.is_empty(), "{:?}", registration.dropped);
     assert_eq!(registration.views.len(), 75);
     assert!(median <= 0.03 && p95 <= 0.1 && most <= 0.2, "{median} {p95} {most}");
-    // 68 % would be exact; the lens's part, which all views share, makes the poses surer than they say.
-    assert!((0.60..=0.85).contains(&within), "{within}");
+    // 68 % would be exact.
+    assert!((0.60..=0.76).contains(&within), "{within}");
     // What was written is read back, and belongs to this session.
     assert_eq!(Registration::of(&session).unwrap().unwrap(), registration);
 

@@ -44,6 +44,8 @@ const HUBER: f64 = 2.5;
 const DARKEST_GROUND: f64 = 0.6;
 /// The model itself is so good beside an edge, relative to the contrast (at its middle).
 const EDGE_ERROR: f64 = 0.06;
+/// So far out or in is an edge along a row of pixels, standard deviation.
+const ALIGNED_EDGE_PX: f64 = 0.2;
 /// Unknowns of a fit: corners, ground (mean and slopes), square, blur.
 const UNKNOWNS: usize = 13;
 
@@ -103,7 +105,29 @@ pub(super) fn measure_square(
         return Err(Unseen::NotThere);
     }
     let covariance = normal.try_inverse().ok_or(Unseen::NotThere)?.fixed_view::<8, 8>(0, 0).into_owned();
-    Ok(MeasuredSquare { square, corners: vector(&corners), covariance })
+    Ok(MeasuredSquare { square, corners: vector(&corners), covariance: covariance + along_pixels(&corners) })
+}
+
+/// What no noise of single pixels says: a pixel is no exact box, and along an edge that follows the pixels' rows all of
+/// them err alike. It makes dark squares smaller or larger and leaves them where they are. An edge that crosses rows
+/// averages over as many.
+fn along_pixels(corners: &[DVec2; 4]) -> CornerCovariance {
+    let mut covariance = CornerCovariance::zeros();
+    for edge in 0..2 {
+        let mut grown = Corners::zeros();
+        for (a, b) in [(edge, edge + 1), (edge + 2, (edge + 3) % 4)] {
+            let along = corners[b] - corners[a];
+            let across = along.perp().normalize_or_zero();
+            let out = across * across.dot(corners[a] - mean(corners)).signum();
+            let share = 1.0 / (1.0 + along.abs().min_element()).sqrt();
+            for corner in [a, b] {
+                grown[2 * corner] = share * out.x;
+                grown[2 * corner + 1] = share * out.y;
+            }
+        }
+        covariance += grown * grown.transpose() * ALIGNED_EDGE_PX.powi(2);
+    }
+    covariance
 }
 
 pub(super) fn vector(corners: &[DVec2; 4]) -> Corners {
