@@ -60,7 +60,7 @@ pub fn describe(report: &mut Report, compared: &[Compared], observations: &Obser
     report.heading("Views that the fit has not seen");
     report.text(format!(
         "Left: photographed. Middle: reconstructed by {}. Right: four times the difference, around grey. All exposed by 1 - exp(-gamma x).",
-        best.map.model.name()
+        best.map.name()
     ));
     for (comparison, error) in best.evaluation.comparisons.iter().zip(&best.evaluation.views) {
         let pictures = [
@@ -84,12 +84,12 @@ pub fn describe(report: &mut Report, compared: &[Compared], observations: &Obser
     let texels = observations.header().texels.count() as f64;
     let row = |c: &Compared| {
         vec![
-            c.map.model.name(),
+            c.map.name(),
             format!("{:.2}", c.evaluation.mean_255()),
             format!("{:.1}", c.evaluation.psnr_db()),
             format!("{:.3}", c.fit_s),
             format!("{:.0}", texels / c.fit_s),
-            c.map.model.bytes_per_texel().to_string(),
+            format!("{:.1}", c.map.bytes_per_texel()),
         ]
     };
     report.table(
@@ -100,7 +100,7 @@ pub fn describe(report: &mut Report, compared: &[Compared], observations: &Obser
     let error = Axis { label: "mean error on held-out views, of 255", logarithmic: false };
     let points = |x: &dyn Fn(&Compared) -> f64| -> Vec<ChartPoint> {
         let point = |c: &Compared| {
-            let name = c.map.model.name();
+            let name = c.map.name();
             ChartPoint { method: name.clone(), x: x(c), y: c.evaluation.mean_255(), label: name }
         };
         compared.iter().map(point).collect()
@@ -112,7 +112,7 @@ pub fn describe(report: &mut Report, compared: &[Compared], observations: &Obser
     );
     let bytes = Axis { label: "bytes per texel (half floats)", logarithmic: true };
     report.chart(
-        chart::scatter(&points(&|c| c.map.model.bytes_per_texel() as f64), (bytes, error))?,
+        chart::scatter(&points(&|c| c.map.bytes_per_texel()), (bytes, error))?,
         "Size against accuracy.",
     );
     report.heading("Radiance against direction");
@@ -155,15 +155,16 @@ fn profile(column: u32, row: u32, texel: &TexelObservations, compared: &[Compare
         .map(|(direction, radiance)| (direction.dot(along).atan2(direction.z).to_degrees(), radiance));
     let mut series =
         vec![Series { name: "measured".into(), points: measured.collect(), drawn: Drawn::Marks }];
-    for compared in compared.iter().filter(|c| DRAWN.contains(&c.map.model.name().as_str())) {
+    for compared in compared.iter().filter(|c| DRAWN.contains(&c.map.name().as_str())) {
         let value = |degrees: i32| {
             let (sine, cosine) = f64::from(degrees).to_radians().sin_cos();
             let direction: Vec3 = (along * sine + DVec3::Z * cosine).as_vec3();
-            let radiance = compared.map.model.radiance(compared.map.texel(column, row), direction);
+            let (model, parameters) = compared.map.texel(column, row);
+            let radiance = model.radiance(parameters, direction);
             (f64::from(degrees), f64::from(radiance[1]))
         };
         series.push(Series {
-            name: compared.map.model.name(),
+            name: compared.map.name(),
             points: (-75..=75).map(value).collect(),
             drawn: Drawn::Line,
         });

@@ -19,4 +19,4 @@ mod weights;
 pub use fitter::{FitFlags, FitOptions, Fitter, TexelFit};
 pub use harmonics::HarmonicsMethod;
 pub use model::{Model, Toward};
-pub use select::{Candidate, candidates, choose_model};
+pub use select::{Candidate, Evidence, SLACK, candidates, choose_model};

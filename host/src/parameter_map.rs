@@ -2,8 +2,10 @@
 
 mod exchange;
 mod fitted;
+mod selected;
 
 pub use fitted::fit_surface;
+pub use selected::{Selection, select_surface};
 
 use glam::{DVec2, Vec3};
 
@@ -11,16 +13,18 @@ use crate::fit::{FitFlags, Model};
 
 use crate::geometry::{Surface, Texels};
 
-/// Coefficients of one model for every texel of a surface.
+/// Coefficients for every texel of a surface, of one model or of the one that each texel needs.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ParameterMap {
     /// The sampled area.
     pub surface: Surface,
     /// How finely it is divided.
     pub texels: Texels,
-    /// What the coefficients mean.
-    pub model: Model,
-    /// Texel after texel from the top-left one, `model.parameter_count()` values each.
+    /// What the coefficients mean: one model for all texels, or those that `choice` chooses from.
+    pub models: Vec<Model>,
+    /// Index into `models`, texel after texel from the top-left one; empty where there is one model.
+    pub choice: Vec<u8>,
+    /// Texel after texel from the top-left one, [`ParameterMap::stride`] values each; what a texel's model does not use is 0.
     pub parameters: Vec<f32>,
     /// How far each texel's coefficients can be trusted, where that is known.
     pub diagnostics: Option<Diagnostics>,
@@ -29,20 +33,72 @@ pub struct ParameterMap {
 /// How well each texel was fitted, texel after texel from the top-left one.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Diagnostics {
-    /// Root mean square of (model − measured) / expected error; see [`TexelFit::residual`].
+    /// Root mean square of (model − measured) / expected error; see [`TexelFit::residual`](crate::fit::TexelFit::residual).
     pub residual: Vec<f32>,
     /// Number of views that took part.
     pub views: Vec<u32>,
     /// What is doubtful.
     pub flags: Vec<FitFlags>,
+    /// Where each texel has a model of its own: index into `models` of the one that was nearly taken.
+    pub runner_up: Vec<u8>,
+    /// And why it was not.
+    pub reason: Vec<Reason>,
+}
+
+/// Why a texel has the model that it has.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Reason {
+    /// It predicts views that its fit has not seen best, and the next smaller one clearly worse.
+    #[default]
+    Best = 0,
+    /// A larger one predicts them hardly better.
+    Sufficient = 1,
+    /// It is within the tolerance that was asked for.
+    Tolerance = 2,
+    /// Its own views leave it open; the texels around it decided.
+    Neighbours = 3,
+    /// Too few views to fit any other.
+    Only = 4,
+}
+
+impl Reason {
+    /// All of them, in the order of their numbers.
+    pub const ALL: [Self; 5] = [Self::Best, Self::Sufficient, Self::Tolerance, Self::Neighbours, Self::Only];
 }
 
 impl ParameterMap {
-    /// The coefficients of texel (`column`, `row`).
-    pub fn texel(&self, column: u32, row: u32) -> &[f32] {
-        let count = self.model.parameter_count();
+    /// How many numbers each texel has in `parameters`: as many as the largest model needs.
+    pub fn stride(&self) -> usize {
+        self.models.iter().map(Model::parameter_count).max().unwrap_or(0)
+    }
+
+    /// Which of `models` texel number `index` has.
+    fn choice_at(&self, index: usize) -> usize {
+        self.choice.get(index).map_or(0, |choice| usize::from(*choice))
+    }
+
+    /// The model and coefficients of texel (`column`, `row`).
+    pub fn texel(&self, column: u32, row: u32) -> (Model, &[f32]) {
         let index = row as usize * self.texels.columns as usize + column as usize;
-        &self.parameters[index * count..(index + 1) * count]
+        let (model, start) = (self.models[self.choice_at(index)], index * self.stride());
+        (model, &self.parameters[start..start + model.parameter_count()])
+    }
+
+    /// The models' names, apart by blanks.
+    pub fn name(&self) -> String {
+        self.models.iter().map(Model::name).collect::<Vec<_>>().join(" ")
+    }
+
+    /// Memory that the texels' coefficients need on average, bytes; one more where each texel names its model.
+    pub fn bytes_per_texel(&self) -> f64 {
+        let sizes: Vec<usize> = self.models.iter().map(Model::bytes_per_texel).collect();
+        match self.choice.len() {
+            0 => sizes.iter().sum::<usize>() as f64,
+            count => {
+                1.0 + self.choice.iter().map(|c| sizes[usize::from(*c)]).sum::<usize>() as f64 / count as f64
+            }
+        }
     }
 
     /// Linear RGB radiance toward `direction` (unit vector, surface frame) at a fractional column and row (a texel's
@@ -51,7 +107,7 @@ impl ParameterMap {
     /// The radiance of the four texels around is blended, never their coefficients: half way between two lobes lies
     /// no lobe. Beyond the outermost centres the border texels continue.
     pub fn radiance_at(&self, at: DVec2, direction: Vec3) -> [f32; 3] {
-        let toward = self.model.toward(direction);
+        let toward: Vec<_> = self.models.iter().map(|model| model.toward(direction)).collect();
         let last = DVec2::new(f64::from(self.texels.columns - 1), f64::from(self.texels.rows - 1));
         let at = at.clamp(DVec2::ZERO, last);
         let (column, row) = (at.x.floor() as u32, at.y.floor() as u32);
@@ -61,7 +117,9 @@ impl ParameterMap {
             for (column_step, column_share) in [(0, 1.0 - right), (1, right)] {
                 let share = row_share * column_share;
                 if share > 0.0 {
-                    let radiance = toward.radiance(self.texel(column + column_step, row + row_step));
+                    let (column, row) = (column + column_step, row + row_step);
+                    let index = row as usize * self.texels.columns as usize + column as usize;
+                    let radiance = toward[self.choice_at(index)].radiance(self.texel(column, row).1);
                     for c in 0..3 {
                         sum[c] += share * radiance[c];
                     }
@@ -81,15 +139,23 @@ mod tests {
         let map = ParameterMap {
             surface: Surface { width_m: 0.2, height_m: 0.1 },
             texels: Texels { columns: 2, rows: 2 },
-            model: Model::Constant,
+            models: vec![Model::Constant],
+            choice: vec![],
             parameters: [[1.0; 3], [3.0; 3], [5.0; 3], [7.0; 3]].concat(),
             diagnostics: None,
+        };
+        let mixed = ParameterMap {
+            models: vec![Model::Phong { lobes: 1 }, Model::Constant],
+            choice: vec![1; 4],
+            parameters: map.parameters.chunks(3).flat_map(|rgb| [rgb, &[0.0; 7]].concat()).collect(),
+            ..map.clone()
         };
         for (at, want) in
             [((0.0, 0.0), 1.0), ((0.5, 0.0), 2.0), ((0.5, 0.5), 4.0), ((1.0, 1.0), 7.0), ((9.0, -3.0), 3.0)]
         {
             let got = map.radiance_at(at.into(), Vec3::Z);
             assert!(got.iter().all(|l| (l - want).abs() < 1e-6), "{at:?}: {got:?}, not {want}");
+            assert_eq!(mixed.radiance_at(at.into(), Vec3::Z), got);
         }
     }
 }

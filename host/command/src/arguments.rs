@@ -334,9 +334,12 @@ pub struct Observe {
 pub struct Fit {
     /// The observation map
     pub observations: PathBuf,
-    /// The model; `auto` takes the smallest of those that predict held-out views best
+    /// The model; `auto` takes for each texel the smallest of those that predict held-out views best
     #[arg(long, default_value = "auto")]
     pub model: String,
+    /// With `auto`: a smaller model suffices that predicts held-out views with at most this mean error, such as 2%
+    #[arg(long, value_name = "PERCENT", value_parser = parse_part)]
+    pub tolerance: Option<f64>,
     /// Names of views to leave out, such as view003,view010
     #[arg(long, value_delimiter = ',')]
     pub without: Vec<String>,

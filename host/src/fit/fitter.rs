@@ -121,6 +121,11 @@ impl Fitter {
         Ok(fitter)
     }
 
+    /// What is fitted.
+    pub fn model(&self) -> Model {
+        self.model
+    }
+
     /// The absolute part of the expected error, radiance.
     pub fn floor(&self) -> f64 {
         self.floor

@@ -9,7 +9,7 @@ use exr::prelude::{
 };
 use half::f16;
 
-use super::{Diagnostics, ParameterMap};
+use super::{Diagnostics, ParameterMap, Reason};
 use crate::error::{Error, Result};
 use crate::file::write_beside;
 use crate::fit::{FitFlags, Model};
@@ -22,6 +22,9 @@ const HEIGHT: &str = "rigelSurfaceHeightM";
 const RESIDUAL: &str = "fit.residual";
 const VIEWS: &str = "fit.views";
 const FLAGS: &str = "fit.flags";
+const CHOICE: &str = "fit.model";
+const RUNNER_UP: &str = "fit.runnerUp";
+const REASON: &str = "fit.reason";
 const UNIT: &str = "the radiance of the session's pictures; metres, of a COLMAP model its own unit of length";
 const MAKE_AGAIN: &str = "fit the observation map again with `rigel fit`";
 
@@ -34,7 +37,19 @@ impl ParameterMap {
     /// [`Error::Request`] when a value is not finite or the lengths disagree, [`Error::Io`] or [`Error::Input`] when
     /// the file cannot be written; what stood there is then untouched.
     pub fn write(&self, path: &Path) -> Result<()> {
-        let (count, texels) = (self.model.parameter_count(), self.texels.count());
+        let (count, texels) = (self.stride(), self.texels.count());
+        let is_chosen = |choice: &u8| usize::from(*choice) < self.models.len();
+        let choices = if self.models.len() == 1 { 0 } else { texels };
+        if self.choice.len() != choices || !self.choice.iter().all(is_chosen) {
+            return Err(Error::request(
+                format!(
+                    "{} choices among {} models are not one for each of {texels} texels",
+                    self.choice.len(),
+                    self.models.len()
+                ),
+                MAKE_AGAIN,
+            ));
+        }
         if texels == 0 || self.parameters.len() != count * texels {
             return Err(Error::request(
                 format!("{} values are not {count} for each of {texels} texels", self.parameters.len()),
@@ -48,24 +63,35 @@ impl ParameterMap {
             ));
         }
         let mut channels = Vec::new();
-        for (i, name) in self.model.channel_names().iter().enumerate() {
-            let values: Vec<f32> = self.parameters.iter().skip(i).step_by(count).copied().collect();
-            let samples = match self.model {
-                Model::LogQuadratic => FlatSamples::F32(values),
-                _ => small_enough(values),
+        for (name, is_logarithm) in self.channels() {
+            let places = self.places(&name);
+            let value = |texel: usize| {
+                places[self.choice_at(texel)].map_or(0.0, |place| self.parameters[texel * count + place])
             };
+            let values: Vec<f32> = (0..texels).map(value).collect();
+            let samples = if is_logarithm { FlatSamples::F32(values) } else { small_enough(values) };
             channels.push(AnyChannel::new(name.as_str(), samples));
+        }
+        let numbers =
+            |values: &[u8]| FlatSamples::U32(values.iter().map(|value| u32::from(*value)).collect());
+        if !self.choice.is_empty() {
+            channels.push(AnyChannel::new(CHOICE, numbers(&self.choice)));
         }
         if let Some(diagnostics) = &self.diagnostics {
             channels.push(AnyChannel::new(RESIDUAL, FlatSamples::F32(diagnostics.residual.clone())));
             channels.push(AnyChannel::new(VIEWS, FlatSamples::U32(diagnostics.views.clone())));
-            let flags = diagnostics.flags.iter().map(|flags| u32::from(flags.0)).collect();
-            channels.push(AnyChannel::new(FLAGS, FlatSamples::U32(flags)));
+            let flags: Vec<u8> = diagnostics.flags.iter().map(|flags| flags.0).collect();
+            channels.push(AnyChannel::new(FLAGS, numbers(&flags)));
+            if !diagnostics.runner_up.is_empty() {
+                let reasons: Vec<u8> = diagnostics.reason.iter().map(|reason| *reason as u8).collect();
+                channels.push(AnyChannel::new(RUNNER_UP, numbers(&diagnostics.runner_up)));
+                channels.push(AnyChannel::new(REASON, numbers(&reasons)));
+            }
         }
         let mut attributes =
             LayerAttributes { comments: Some(self.meaning().as_str().into()), ..Default::default() };
         attributes.other.extend([
-            (Text::from(MODEL), AttributeValue::Text(self.model.name().as_str().into())),
+            (Text::from(MODEL), AttributeValue::Text(self.name().as_str().into())),
             (Text::from(VERSION), AttributeValue::Text(env!("CARGO_PKG_VERSION").into())),
             (Text::from(WIDTH), AttributeValue::F64(self.surface.width_m)),
             (Text::from(HEIGHT), AttributeValue::F64(self.surface.height_m)),
@@ -122,10 +148,13 @@ impl ParameterMap {
                 MAKE_AGAIN,
             )),
         };
-        let model = match attribute(MODEL)? {
-            AttributeValue::Text(name) => Model::parse(&name.to_string()).map_err(|error| {
-                Error::input(path, format!("its attribute {MODEL} is wrong: {error}"), MAKE_AGAIN)
-            })?,
+        let models = match attribute(MODEL)? {
+            AttributeValue::Text(names) => {
+                let models: Result<Vec<Model>> = names.to_string().split(' ').map(Model::parse).collect();
+                models.map_err(|error| {
+                    Error::input(path, format!("its attribute {MODEL} is wrong: {error}"), MAKE_AGAIN)
+                })?
+            }
             other => {
                 return Err(Error::input(
                     path,
@@ -137,17 +166,44 @@ impl ParameterMap {
         let surface = Surface { width_m: length(WIDTH)?, height_m: length(HEIGHT)? };
         let texels = Texels { columns: layer.size.0 as u32, rows: layer.size.1 as u32 };
         let channel = |name: &str| layer.channel_data.list.iter().find(|channel| channel.name.eq(name));
-        let count = model.parameter_count();
-        let mut parameters = vec![0.0; count * texels.count()];
-        for (i, name) in model.channel_names().iter().enumerate() {
+        let numbers = |name: &str, below: usize| -> Result<Option<Vec<u8>>> {
+            let Some(channel) = channel(name) else { return Ok(None) };
+            let values: Vec<f32> = channel.sample_data.values_as_f32().collect();
+            match values.iter().position(|value| !(0.0..below as f32).contains(value)) {
+                Some(wrong) => Err(Error::input(
+                    path,
+                    format!(
+                        "channel {name} holds {} at texel {wrong}, not a number below {below}",
+                        values[wrong]
+                    ),
+                    MAKE_AGAIN,
+                )),
+                None => Ok(Some(values.into_iter().map(|value| value as u8).collect())),
+            }
+        };
+        let choice = match models.len() {
+            1 => vec![],
+            count => numbers(CHOICE, count)?.ok_or_else(|| {
+                Error::input(
+                    path,
+                    format!("the channel {CHOICE} is missing, which says what model a texel has"),
+                    MAKE_AGAIN,
+                )
+            })?,
+        };
+        let mut map = Self { surface, texels, models, choice, parameters: vec![], diagnostics: None };
+        let count = map.stride();
+        map.parameters = vec![0.0; count * texels.count()];
+        for (name, _) in map.channels() {
             let missing = || {
                 Error::input(
                     path,
-                    format!("the channel {name} of its model {} is missing", model.name()),
+                    format!("the channel {name} of its model {} is missing", map.name()),
                     MAKE_AGAIN,
                 )
             };
-            let samples = &channel(name).ok_or_else(missing)?.sample_data;
+            let samples = &channel(&name).ok_or_else(missing)?.sample_data;
+            let places = map.places(&name);
             for (texel, value) in samples.values_as_f32().enumerate() {
                 if !value.is_finite() {
                     return Err(Error::input(
@@ -156,23 +212,51 @@ impl ParameterMap {
                         MAKE_AGAIN,
                     ));
                 }
-                parameters[texel * count + i] = value;
+                if let Some(place) = places[map.choice_at(texel)] {
+                    map.parameters[texel * count + place] = value;
+                }
             }
         }
-        let diagnostics = match [RESIDUAL, VIEWS, FLAGS].map(channel) {
+        map.diagnostics = match [RESIDUAL, VIEWS, FLAGS].map(channel) {
             [Some(residual), Some(views), Some(flags)] => Some(Diagnostics {
                 residual: residual.sample_data.values_as_f32().collect(),
                 views: views.sample_data.values_as_f32().map(|value| value as u32).collect(),
                 flags: flags.sample_data.values_as_f32().map(|value| FitFlags(value as u8)).collect(),
+                runner_up: numbers(RUNNER_UP, map.models.len())?.unwrap_or_default(),
+                reason: numbers(REASON, Reason::ALL.len())?
+                    .unwrap_or_default()
+                    .into_iter()
+                    .map(|reason| Reason::ALL[usize::from(reason)])
+                    .collect(),
             }),
             _ => None,
         };
-        Ok(Self { surface, texels, model, parameters, diagnostics })
+        Ok(map)
+    }
+
+    /// Every channel of the models that texels have once, and whether it holds logarithms.
+    fn channels(&self) -> Vec<(String, bool)> {
+        let mut channels: Vec<(String, bool)> = vec![];
+        let is_used = |i: usize| self.choice.is_empty() || self.choice.iter().any(|c| usize::from(*c) == i);
+        for (_, model) in self.models.iter().enumerate().filter(|(i, _)| is_used(*i)) {
+            for name in model.channel_names() {
+                if !channels.iter().any(|(known, _)| *known == name) {
+                    channels.push((name, *model == Model::LogQuadratic));
+                }
+            }
+        }
+        channels
+    }
+
+    /// Where each of the models has the channel of this name.
+    fn places(&self, name: &str) -> Vec<Option<usize>> {
+        let place = |model: &Model| model.channel_names().iter().position(|known| known == name);
+        self.models.iter().map(place).collect()
     }
 
     /// For whoever finds the file without this program.
     fn meaning(&self) -> String {
-        let formula = match self.model {
+        let formula = |model: &Model| match model {
             Model::Constant => "L = radiance",
             Model::Phong { .. } => {
                 "L(d) = diffuse + sum over lobes of specular * max(0, dot(lobe, d))^shininess"
@@ -183,6 +267,14 @@ impl ParameterMap {
             Model::Harmonics { .. } => {
                 "L(d) = max(0, sum over l, m of c_lm Y_lm(d)), Y real orthonormal spherical harmonics without \
                  Condon-Shortley phase, m < 0 with sin(|m| azimuth)"
+            }
+        };
+        let formula = match self.models.as_slice() {
+            [model] => formula(model).to_owned(),
+            models => {
+                let each = models.iter().enumerate();
+                let each: Vec<_> = each.map(|(i, m)| format!("{i} ({}): {}", m.name(), formula(m))).collect();
+                format!("The channel {CHOICE} says which formula a texel has: {}", each.join("; "))
             }
         };
         format!(
@@ -207,14 +299,42 @@ mod tests {
     fn map(model: Model, scale: f32) -> ParameterMap {
         let texels = Texels { columns: 5, rows: 3 };
         let count = model.parameter_count() * texels.count();
-        let parameters = (0..count).map(|i| scale * ((i * 37 % 101) as f32 - 20.0) / 50.0).collect();
+        let parameters: Vec<f32> =
+            (0..count).map(|i| scale * ((i * 37 % 101) as f32 - 20.0) / 50.0).collect();
         let diagnostics = Diagnostics {
             residual: (0..15).map(|i| i as f32 / 7.0).collect(),
             views: (0..15).collect(),
             flags: (0..15).map(FitFlags).collect(),
+            ..Diagnostics::default()
         };
         let surface = Surface { width_m: 0.2, height_m: 0.15 };
-        ParameterMap { surface, texels, model, parameters, diagnostics: Some(diagnostics) }
+        let (models, choice) = (vec![model], vec![]);
+        ParameterMap { surface, texels, models, choice, parameters, diagnostics: Some(diagnostics) }
+    }
+
+    #[test]
+    fn a_map_of_several_models_comes_back_from_its_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("map.exr");
+        let models = vec![Model::Constant, Model::Phong { lobes: 1 }, Model::Phong { lobes: 2 }];
+        let mut mixed = map(models[2], 1.0);
+        mixed.choice = (0..15).map(|texel| texel % 3).collect();
+        for (texel, choice) in mixed.choice.iter().enumerate() {
+            let unused = models[usize::from(*choice)].parameter_count()..17;
+            mixed.parameters[17 * texel..17 * (texel + 1)][unused].fill(0.0);
+        }
+        mixed.models = models;
+        let diagnostics = mixed.diagnostics.as_mut().unwrap();
+        diagnostics.runner_up = (0..15).map(|texel| (texel + 1) % 3).collect();
+        diagnostics.reason = (0..15).map(|texel| Reason::ALL[texel % 5]).collect();
+        mixed.write(&path).unwrap();
+        let back = ParameterMap::read(&path).unwrap();
+        assert_eq!((&back.models, &back.choice), (&mixed.models, &mixed.choice));
+        assert_eq!(back.diagnostics, mixed.diagnostics);
+        assert!(back.parameters.iter().zip(&mixed.parameters).all(|(a, b)| (a - b).abs() <= 2e-3));
+        assert!((mixed.bytes_per_texel() - (1.0 + (6.0 + 20.0 + 34.0) / 3.0)).abs() < 1e-12);
+        mixed.choice[4] = 3;
+        assert!(mixed.write(&path).unwrap_err().to_string().contains("choices"));
     }
 
     #[test]
@@ -226,7 +346,7 @@ mod tests {
                 let map = map(model, scale);
                 map.write(&path).unwrap();
                 let back = ParameterMap::read(&path).unwrap();
-                assert_eq!((back.surface, back.texels, back.model), (map.surface, map.texels, map.model));
+                assert_eq!((back.surface, back.texels, &back.models), (map.surface, map.texels, &map.models));
                 assert_eq!(back.diagnostics, map.diagnostics);
                 for (got, want) in back.parameters.iter().zip(&map.parameters) {
                     assert!((got - want).abs() <= 2e-3 * scale, "{}: {got} for {want}", model.name());

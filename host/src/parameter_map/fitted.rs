@@ -1,5 +1,6 @@
 //! A model is fitted to a whole observation map, tile by tile, in bounded memory.
 
+use std::borrow::Cow;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -49,13 +50,25 @@ pub fn fit_surface(
         progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, tiles)
     })?;
     let (parameters, diagnostics) = target.into_inner().map_err(|_| Error::Interrupted)?;
-    Ok(ParameterMap { surface: header.surface, texels, model, parameters, diagnostics: Some(diagnostics) })
+    Ok(ParameterMap {
+        surface: header.surface,
+        texels,
+        models: vec![model],
+        choice: vec![],
+        parameters,
+        diagnostics: Some(diagnostics),
+    })
 }
 
-fn leave_out(texel: &TexelObservations, without: &[u32]) -> TexelObservations {
-    if without.is_empty() { texel.clone() } else { texel.without(without) }
+pub(super) fn leave_out<'a>(texel: &'a TexelObservations, without: &[u32]) -> Cow<'a, TexelObservations> {
+    if without.is_empty() { Cow::Borrowed(texel) } else { Cow::Owned(texel.without(without)) }
 }
 
-fn empty(count: usize) -> Diagnostics {
-    Diagnostics { residual: vec![0.0; count], views: vec![0; count], flags: vec![FitFlags::default(); count] }
+pub(super) fn empty(count: usize) -> Diagnostics {
+    Diagnostics {
+        residual: vec![0.0; count],
+        views: vec![0; count],
+        flags: vec![FitFlags::default(); count],
+        ..Diagnostics::default()
+    }
 }

@@ -77,7 +77,7 @@ pub fn demo(arguments: &Demo) -> Result<()> {
     let references = session_references(&session, &held_out)?;
     let compared = compare(&observations, &models, &without, &references, &Bar::new("fitting"))?;
     for one in &compared {
-        let name = one.map.model.name();
+        let name = one.map.name();
         one.map.write(&out.join(format!("{name}.exr")))?;
         say!(
             "{name:>14}: {:5.2} of 255 on held-out views, {:6.2} s to fit",

@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use rigel::evaluate::{evaluate as score, read_references, session_references};
-use rigel::fit::{FitFlags, FitOptions, Model, candidates, choose_model};
+use rigel::fit::{FitFlags, FitOptions, Model, candidates};
 use rigel::geometry::{Lens, Pose};
 use rigel::observation::ObservationMap;
-use rigel::parameter_map::{ParameterMap, fit_surface};
+use rigel::parameter_map::{Diagnostics, ParameterMap, Reason, Selection, fit_surface, select_surface};
 use rigel::render::{gamma_for_median, render as draw};
 use rigel::session::Session;
 use rigel::view_file::read_camera;
@@ -27,39 +27,61 @@ pub fn fit(arguments: &Fit) -> Result<()> {
             .into_iter()
             .map(|view| view as u32)
             .collect();
-    let model = match arguments.model.as_str() {
-        "auto" => choose(&map, &without, &options)?,
-        name => Model::parse(name)?,
+    let (fitted, name) = match arguments.model.as_str() {
+        "auto" => {
+            let selection = Selection { fit: options, tolerance: arguments.tolerance.unwrap_or(0.0) as f32 };
+            let progress = Bar::new("choosing and fitting");
+            (select_surface(&map, &candidates(), &selection, &without, &progress)?, "auto".to_owned())
+        }
+        name => {
+            if arguments.tolerance.is_some() {
+                return Err(Error::request(
+                    format!("--tolerance says nothing to --model {name}"),
+                    "leave it out, or let --model auto choose",
+                ));
+            }
+            let model = Model::parse(name)?;
+            (fit_surface(&map, model, &options, &without, &Bar::new("fitting"))?, model.name())
+        }
     };
     let out = arguments
         .out
         .clone()
-        .unwrap_or_else(|| arguments.observations.with_file_name(format!("{}.exr", model.name())));
+        .unwrap_or_else(|| arguments.observations.with_file_name(format!("{name}.exr")));
     require_extension(&out, "exr")?;
-    let fitted = fit_surface(&map, model, &options, &without, &Bar::new("fitting"))?;
     fitted.write(&out)?;
-    say!("wrote {}: {}, {} bytes per texel", out.display(), model.name(), model.bytes_per_texel());
+    say!("wrote {}: {}, {:.1} bytes per texel", out.display(), fitted.name(), fitted.bytes_per_texel());
     summarise(&fitted);
     Ok(())
 }
 
-/// The smallest model that predicts held-out views about as well as the best one, and says why.
-fn choose(map: &ObservationMap, without: &[u32], options: &FitOptions) -> Result<Model> {
-    let ranking = choose_model(&map.sample(without)?, &candidates(), options, &Bar::new("choosing"))
-        .map_err(|error| error.about(map.path()))?;
-    for candidate in &ranking {
-        say!(
-            "{:>14}: predicts held-out views within {:.2} %, {} bytes per texel",
-            candidate.model.name(),
-            100.0 * candidate.held_out_error,
-            candidate.bytes_per_texel
-        );
+/// What was chosen and why.
+fn say_choices(fitted: &ParameterMap, diagnostics: &Diagnostics) {
+    let count = fitted.choice.len() as f64;
+    for (index, model) in fitted.models.iter().enumerate() {
+        let chosen = fitted.choice.iter().filter(|choice| usize::from(**choice) == index).count();
+        let share = 100.0 * chosen as f64 / count;
+        say!("{:>14}: {share:5.1} % of the texels, {} bytes each", model.name(), model.bytes_per_texel());
     }
-    Ok(ranking[0].model)
+    let because = |wanted: Reason| {
+        let texels = diagnostics.reason.iter().filter(|reason| **reason == wanted).count();
+        100.0 * texels as f64 / count
+    };
+    say!(
+        "why: {:.0} % predict unseen views best, {:.0} % hardly worse than a larger model, {:.0} % within the tolerance, {:.0} % as the texels around, {:.0} % have too few views for another",
+        because(Reason::Best),
+        because(Reason::Sufficient),
+        because(Reason::Tolerance),
+        because(Reason::Neighbours),
+        because(Reason::Only)
+    );
 }
 
 fn summarise(fitted: &ParameterMap) {
     let Some(diagnostics) = &fitted.diagnostics else { return };
+    if !fitted.choice.is_empty() {
+        say_choices(fitted, diagnostics);
+    }
     let mut residuals = diagnostics.residual.clone();
     residuals.sort_by(f32::total_cmp);
     say!(
