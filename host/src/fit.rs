@@ -2,8 +2,9 @@
 //!
 //! Per texel the smallest model that reproduces what the views measured is wanted. [`Model`] names the choices and
 //! evaluates them, [`Fitter`] fits one of them, [`choose_model`] ranks several by how well they predict views that the
-//! fit has not seen.
+//! fit has not seen, [`Evidence`] does so for each texel.
 
+mod evidence;
 mod fitter;
 pub mod harmonics;
 mod log_quadratic;
@@ -16,7 +17,8 @@ mod tests;
 mod voronoi;
 mod weights;
 
+pub use evidence::{Evidence, Reason, choose_models};
 pub use fitter::{FitFlags, FitOptions, Fitter, TexelFit};
 pub use harmonics::HarmonicsMethod;
 pub use model::{Model, Toward};
-pub use select::{Candidate, Evidence, SLACK, candidates, choose_model};
+pub use select::{Candidate, candidates, choose_model};

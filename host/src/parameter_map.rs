@@ -9,7 +9,7 @@ pub use selected::{Selection, select_surface};
 
 use glam::{DVec2, Vec3};
 
-use crate::fit::{FitFlags, Model};
+use crate::fit::{FitFlags, Model, Reason};
 
 use crate::geometry::{Surface, Texels};
 
@@ -43,28 +43,6 @@ pub struct Diagnostics {
     pub runner_up: Vec<u8>,
     /// And why it was not.
     pub reason: Vec<Reason>,
-}
-
-/// Why a texel has the model that it has.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-#[repr(u8)]
-pub enum Reason {
-    /// It predicts views that its fit has not seen best, and the next smaller one clearly worse.
-    #[default]
-    Best = 0,
-    /// A larger one predicts them hardly better.
-    Sufficient = 1,
-    /// It is within the tolerance that was asked for.
-    Tolerance = 2,
-    /// Its own views leave it open; the texels around it decided.
-    Neighbours = 3,
-    /// Too few views to fit any other.
-    Only = 4,
-}
-
-impl Reason {
-    /// All of them, in the order of their numbers.
-    pub const ALL: [Self; 5] = [Self::Best, Self::Sufficient, Self::Tolerance, Self::Neighbours, Self::Only];
 }
 
 impl ParameterMap {

@@ -22,7 +22,7 @@ pub struct Candidate {
 }
 
 /// The views are dealt into this many parts, each predicted from the others.
-const PARTS: u32 = 5;
+pub(super) const PARTS: u32 = 5;
 
 /// The models worth choosing among: all but those that are kept for comparison only.
 pub fn candidates() -> Vec<Model> {
@@ -91,7 +91,11 @@ fn held_out_error(sample: &[TexelObservations], model: Model, options: &FitOptio
 
 /// The error in each view of `held` of a fit to `kept`, |prediction − measured| / (measured + floor), mean of the
 /// channels; `None` where nothing can be fitted or there is nothing to compare.
-fn part_errors(fitter: &Fitter, kept: &TexelObservations, held: &TexelObservations) -> Option<Vec<f32>> {
+pub(super) fn part_errors(
+    fitter: &Fitter,
+    kept: &TexelObservations,
+    held: &TexelObservations,
+) -> Option<Vec<f32>> {
     let model = fitter.model();
     if kept.len() < model.unknowns() || held.is_empty() {
         return None;
@@ -108,88 +112,8 @@ fn part_errors(fitter: &Fitter, kept: &TexelObservations, held: &TexelObservatio
     Some(held.direction.iter().zip(&held.radiance).map(error).collect())
 }
 
-/// What a texel's own views say about the models, each predicting views that its fit has not seen.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Evidence {
-    /// Per model the mean error |prediction − measured| / (measured + floor); infinite where it cannot be fitted.
-    pub error: Vec<f32>,
-    /// Per model by how much that exceeds the least of them, and the standard error of this over the views.
-    pub excess: Vec<[f32; 2]>,
-}
-
-impl Evidence {
-    /// Compares the models of `fitters` on one texel: every fifth of its views predicted from the others.
-    pub fn of(fitters: &[Fitter], texel: &TexelObservations) -> Self {
-        let mut errors: Vec<Option<Vec<f32>>> = vec![Some(vec![]); fitters.len()];
-        for part in 0..PARTS {
-            let (kept, held) = split(texel, part);
-            if held.is_empty() {
-                continue;
-            }
-            for (errors, fitter) in errors.iter_mut().zip(fitters) {
-                let more = part_errors(fitter, &kept, &held);
-                *errors = errors.take().zip(more).map(|(mut errors, more)| {
-                    errors.extend(more);
-                    errors
-                });
-            }
-        }
-        let mean = |errors: &Option<Vec<f32>>| match errors {
-            Some(errors) if !errors.is_empty() => errors.iter().sum::<f32>() / errors.len() as f32,
-            _ => f32::INFINITY,
-        };
-        let error: Vec<f32> = errors.iter().map(mean).collect();
-        let least = (0..error.len()).min_by(|&a, &b| error[a].total_cmp(&error[b]));
-        let Some(best) = least.and_then(|best| errors[best].as_ref()) else { return Self::default() };
-        let excess = |errors: &Option<Vec<f32>>| {
-            let Some(errors) = errors else { return [f32::INFINITY, 0.0] };
-            let count = errors.len() as f32;
-            let mean = errors.iter().zip(best).map(|(error, best)| error - best).sum::<f32>() / count;
-            let squares = errors.iter().zip(best).map(|(error, best)| (error - best - mean).powi(2));
-            [mean, (squares.sum::<f32>() / (count - 1.0).max(1.0) / count).sqrt()]
-        };
-        Self { excess: errors.iter().map(excess).collect(), error }
-    }
-
-    /// The smallest sufficient model (the models are in order of their size), and the smallest of which the views cannot say
-    /// that it is worse: where the two differ the choice is open.
-    ///
-    /// Sufficient is what predicts at most 2 % worse than the best, or within `tolerance`. `None` where no model can be
-    /// fitted.
-    pub fn choices(&self, tolerance: f32) -> Option<[usize; 2]> {
-        let least = self.error.iter().copied().fold(f32::INFINITY, f32::min);
-        let enough = |sigmas: f32| {
-            let is_enough = |m: &usize| {
-                let [excess, sigma] = self.excess[*m];
-                excess <= SLACK * least + sigmas * sigma || self.error[*m] <= tolerance
-            };
-            (0..self.error.len()).filter(|m| self.error[*m].is_finite()).find(is_enough)
-        };
-        Some([enough(0.0)?, enough(OPEN_SIGMAS)?])
-    }
-
-    /// By how much a model predicts worse than the best, relative to that.
-    pub fn relative_excess(&self, model: usize) -> f32 {
-        let least = self.error.iter().copied().fold(f32::INFINITY, f32::min);
-        (self.excess[model][0] / least.max(f32::MIN_POSITIVE)).min(MOST_EXCESS)
-    }
-
-    /// The best of the other models.
-    pub fn runner_up(&self, choice: usize) -> Option<usize> {
-        let others = (0..self.error.len()).filter(|m| *m != choice && self.error[*m].is_finite());
-        others.min_by(|&a, &b| self.error[a].total_cmp(&self.error[b]))
-    }
-}
-
-/// A model that predicts so little worse than the best is as good.
-pub const SLACK: f32 = 0.02;
-/// A difference below so many standard errors is open.
-const OPEN_SIGMAS: f32 = 1.0;
-/// A texel's excess counts no more than this among its neighbours'.
-const MOST_EXCESS: f32 = 0.2;
-
 /// The texel without, and with only, the views of one part.
-fn split(texel: &TexelObservations, part: u32) -> (TexelObservations, TexelObservations) {
+pub(super) fn split(texel: &TexelObservations, part: u32) -> (TexelObservations, TexelObservations) {
     let (mut kept, mut held) = (TexelObservations::default(), TexelObservations::default());
     for i in 0..texel.direction.len() {
         let to = if texel.view[i] % PARTS == part { &mut held } else { &mut kept };

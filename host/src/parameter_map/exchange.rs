@@ -9,10 +9,10 @@ use exr::prelude::{
 };
 use half::f16;
 
-use super::{Diagnostics, ParameterMap, Reason};
+use super::{Diagnostics, ParameterMap};
 use crate::error::{Error, Result};
 use crate::file::write_beside;
-use crate::fit::{FitFlags, Model};
+use crate::fit::{FitFlags, Model, Reason};
 use crate::geometry::{Surface, Texels};
 
 const MODEL: &str = "rigelModel";
@@ -326,7 +326,7 @@ mod tests {
         mixed.models = models;
         let diagnostics = mixed.diagnostics.as_mut().unwrap();
         diagnostics.runner_up = (0..15).map(|texel| (texel + 1) % 3).collect();
-        diagnostics.reason = (0..15).map(|texel| Reason::ALL[texel % 5]).collect();
+        diagnostics.reason = (0..15).map(|texel| Reason::ALL[texel % 6]).collect();
         mixed.write(&path).unwrap();
         let back = ParameterMap::read(&path).unwrap();
         assert_eq!((&back.models, &back.choice), (&mixed.models, &mixed.choice));

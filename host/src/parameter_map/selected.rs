@@ -6,10 +6,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
+use super::ParameterMap;
 use super::fitted::{empty, leave_out};
-use super::{ParameterMap, Reason};
-use crate::fit::{Evidence, FitOptions, Fitter, Model, SLACK};
-use crate::geometry::Texels;
+use crate::fit::{Evidence, FitOptions, Fitter, Model, Reason, choose_models};
 use crate::observation::{ObservationMap, TexelObservations};
 use crate::progress::Progress;
 use crate::{Error, Result};
@@ -77,14 +76,15 @@ pub fn select_surface(
         parameters: vec![],
         diagnostics: None,
     };
+    let sizes: Vec<usize> = fitted.models.iter().map(Model::bytes_per_texel).collect();
     let mut diagnostics = empty(texels.count());
     (diagnostics.runner_up, diagnostics.reason) =
         (vec![0; texels.count()], vec![Reason::Only; texels.count()]);
-    for (i, own) in evidence.iter().enumerate() {
-        if let Some((choice, reason)) = choose(&evidence, texels, i, selection.tolerance) {
-            (fitted.choice[i], diagnostics.reason[i]) = (choice as u8, reason);
-            diagnostics.runner_up[i] = own.runner_up(choice).unwrap_or(choice) as u8;
-        }
+    for (i, (choice, reason)) in
+        choose_models(&evidence, texels, &sizes, selection.tolerance).into_iter().enumerate()
+    {
+        (fitted.choice[i], diagnostics.reason[i]) = (choice as u8, reason);
+        diagnostics.runner_up[i] = evidence[i].runner_up(choice).unwrap_or(choice) as u8;
     }
     let stride = fitted.stride();
     let target = Mutex::new((vec![0f32; texels.count() * stride], diagnostics));
@@ -130,42 +130,6 @@ fn shorten(fitters: &mut Vec<Fitter>, sample: &[TexelObservations], tolerance: f
         // No texel has views enough for anything but the smallest.
         fitters.truncate(1);
     }
-}
-
-/// The model for one texel and why; `None` where its views allow none.
-fn choose(evidence: &[Evidence], texels: Texels, index: usize, tolerance: f32) -> Option<(usize, Reason)> {
-    let own = &evidence[index];
-    let [sufficient, open] = own.choices(tolerance)?;
-    if own.error.iter().filter(|error| error.is_finite()).count() == 1 {
-        return Some((sufficient, Reason::Only));
-    }
-    let best = own.error.iter().copied().fold(f32::INFINITY, f32::min);
-    let reason = |choice: usize| match own.error[choice] {
-        error if error == best => Reason::Best,
-        error if error <= tolerance && own.relative_excess(choice) > SLACK => Reason::Tolerance,
-        _ => Reason::Sufficient,
-    };
-    if sufficient == open {
-        return Some((sufficient, reason(sufficient)));
-    }
-    let (columns, rows) = (texels.columns as usize, texels.rows as usize);
-    let (column, row) = (index % columns, index / columns);
-    let window = |at: usize, most: usize| at.saturating_sub(1)..(at + 2).min(most);
-    let excess = |model: usize| {
-        let (mut sum, mut count) = (0.0, 0.0);
-        for row in window(row, rows) {
-            for column in window(column, columns) {
-                let near = &evidence[row * columns + column];
-                if near.error.get(model).is_some_and(|error| error.is_finite()) {
-                    sum += near.relative_excess(model);
-                    count += 1.0;
-                }
-            }
-        }
-        sum / count
-    };
-    let choice = (open..sufficient).find(|&model| own.error[model].is_finite() && excess(model) <= SLACK);
-    Some((choice.unwrap_or(sufficient), Reason::Neighbours))
 }
 
 impl ParameterMap {

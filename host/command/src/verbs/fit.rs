@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use rigel::evaluate::{evaluate as score, read_references, session_references};
-use rigel::fit::{FitFlags, FitOptions, Model, candidates};
+use rigel::fit::{FitFlags, FitOptions, Model, Reason, candidates};
 use rigel::geometry::{Lens, Pose};
 use rigel::observation::ObservationMap;
-use rigel::parameter_map::{Diagnostics, ParameterMap, Reason, Selection, fit_surface, select_surface};
+use rigel::parameter_map::{Diagnostics, ParameterMap, Selection, fit_surface, select_surface};
 use rigel::render::{gamma_for_median, render as draw};
 use rigel::session::Session;
 use rigel::view_file::read_camera;
@@ -44,10 +44,8 @@ pub fn fit(arguments: &Fit) -> Result<()> {
             (fit_surface(&map, model, &options, &without, &Bar::new("fitting"))?, model.name())
         }
     };
-    let out = arguments
-        .out
-        .clone()
-        .unwrap_or_else(|| arguments.observations.with_file_name(format!("{name}.exr")));
+    let out =
+        arguments.out.clone().unwrap_or_else(|| arguments.observations.with_file_name(format!("{name}.exr")));
     require_extension(&out, "exr")?;
     fitted.write(&out)?;
     say!("wrote {}: {}, {:.1} bytes per texel", out.display(), fitted.name(), fitted.bytes_per_texel());
@@ -68,9 +66,10 @@ fn say_choices(fitted: &ParameterMap, diagnostics: &Diagnostics) {
         100.0 * texels as f64 / count
     };
     say!(
-        "why: {:.0} % predict unseen views best, {:.0} % hardly worse than a larger model, {:.0} % within the tolerance, {:.0} % as the texels around, {:.0} % have too few views for another",
+        "why: {:.0} % predict unseen views best, {:.0} % hardly worse than a larger model, {:.0} % not worth a larger one, {:.0} % within the tolerance, {:.0} % as the texels around, {:.0} % have too few views for another",
         because(Reason::Best),
         because(Reason::Sufficient),
+        because(Reason::Economy),
         because(Reason::Tolerance),
         because(Reason::Neighbours),
         because(Reason::Only)

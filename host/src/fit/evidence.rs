@@ -1,0 +1,186 @@
+//! Which model a texel needs, by how well each predicts views that its fit has not seen.
+
+use super::fitter::Fitter;
+use super::select::{PARTS, part_errors, split};
+use crate::geometry::Texels;
+use crate::observation::TexelObservations;
+
+/// What a texel's own views say about the models, each predicting views that its fit has not seen.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Evidence {
+    /// Per model the mean error |prediction − measured| / (measured + floor); infinite where it cannot be fitted.
+    pub error: Vec<f32>,
+    /// Per model by how much that exceeds the least of them, and the standard error of this over the views.
+    pub excess: Vec<[f32; 2]>,
+}
+
+impl Evidence {
+    /// Compares the models of `fitters` on one texel: every fifth of its views predicted from the others.
+    pub fn of(fitters: &[Fitter], texel: &TexelObservations) -> Self {
+        let mut errors: Vec<Option<Vec<f32>>> = vec![Some(vec![]); fitters.len()];
+        for part in 0..PARTS {
+            let (kept, held) = split(texel, part);
+            if held.is_empty() {
+                continue;
+            }
+            for (errors, fitter) in errors.iter_mut().zip(fitters) {
+                let more = part_errors(fitter, &kept, &held);
+                *errors = errors.take().zip(more).map(|(mut errors, more)| {
+                    errors.extend(more);
+                    errors
+                });
+            }
+        }
+        let mean = |errors: &Option<Vec<f32>>| match errors {
+            Some(errors) if !errors.is_empty() => errors.iter().sum::<f32>() / errors.len() as f32,
+            _ => f32::INFINITY,
+        };
+        let error: Vec<f32> = errors.iter().map(mean).collect();
+        let least = (0..error.len()).min_by(|&a, &b| error[a].total_cmp(&error[b]));
+        let Some(best) = least.and_then(|best| errors[best].as_ref()) else { return Self::default() };
+        let excess = |errors: &Option<Vec<f32>>| {
+            let Some(errors) = errors else { return [f32::INFINITY, 0.0] };
+            let count = errors.len() as f32;
+            let mean = errors.iter().zip(best).map(|(error, best)| error - best).sum::<f32>() / count;
+            let squares = errors.iter().zip(best).map(|(error, best)| (error - best - mean).powi(2));
+            [mean, (squares.sum::<f32>() / (count - 1.0).max(1.0) / count).sqrt()]
+        };
+        Self { excess: errors.iter().map(excess).collect(), error }
+    }
+
+    /// The smallest sufficient model (the models are in order of their size), and the smallest of which the views cannot say
+    /// that it is worse: where the two differ the choice is open.
+    ///
+    /// Sufficient is what predicts at most 2 % worse than the best, or within `tolerance`. `None` where no model can be
+    /// fitted.
+    pub fn choices(&self, tolerance: f32) -> Option<[usize; 2]> {
+        let least = self.error.iter().copied().fold(f32::INFINITY, f32::min);
+        let enough = |sigmas: f32| {
+            let is_enough = |m: &usize| {
+                let [excess, sigma] = self.excess[*m];
+                excess <= SLACK * least + sigmas * sigma || self.error[*m] <= tolerance
+            };
+            (0..self.error.len()).filter(|m| self.error[*m].is_finite()).find(is_enough)
+        };
+        Some([enough(0.0)?, enough(OPEN_SIGMAS)?])
+    }
+
+    /// By how much a model predicts worse than the best, relative to that.
+    pub fn relative_excess(&self, model: usize) -> f32 {
+        let least = self.error.iter().copied().fold(f32::INFINITY, f32::min);
+        (self.excess[model][0] / least.max(f32::MIN_POSITIVE)).min(MOST_EXCESS)
+    }
+
+    /// The best of the other models.
+    pub fn runner_up(&self, choice: usize) -> Option<usize> {
+        let others = (0..self.error.len()).filter(|m| *m != choice && self.error[*m].is_finite());
+        others.min_by(|&a, &b| self.error[a].total_cmp(&self.error[b]))
+    }
+}
+
+/// A model that predicts so little worse than the best is as good.
+const SLACK: f32 = 0.02;
+/// A difference below so many standard errors is open.
+const OPEN_SIGMAS: f32 = 1.0;
+/// A texel's excess counts no more than this among its neighbours'.
+const MOST_EXCESS: f32 = 0.2;
+
+/// Why a texel has the model that it has.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Reason {
+    /// It predicts views that its fit has not seen best, and the next smaller one clearly worse.
+    #[default]
+    Best = 0,
+    /// A larger one predicts them hardly better.
+    Sufficient = 1,
+    /// It is within the tolerance that was asked for.
+    Tolerance = 2,
+    /// Its own views leave it open; the texels around it decided.
+    Neighbours = 3,
+    /// Too few views to fit any other.
+    Only = 4,
+    /// A larger one predicts better, but by less for its size than elsewhere on the surface.
+    Economy = 5,
+}
+
+impl Reason {
+    /// All of them, in the order of their numbers.
+    pub const ALL: [Self; 6] =
+        [Self::Best, Self::Sufficient, Self::Tolerance, Self::Neighbours, Self::Only, Self::Economy];
+}
+
+/// The model of every texel (the first of them where its views allow none) and why; `sizes` are those of the models.
+///
+/// Where a texel's own views leave it open, the smallest model is taken that predicts at most 2 % worse than the best on
+/// average over the texel and the eight around it. Then models are made smaller where that costs least, as long as the
+/// surface is predicted no worse than by the best single model for all of it: what the choice gains is taken as size.
+pub fn choose_models(
+    evidence: &[Evidence],
+    texels: Texels,
+    sizes: &[usize],
+    tolerance: f32,
+) -> Vec<(usize, Reason)> {
+    let mut chosen: Vec<(usize, Reason)> = (0..evidence.len())
+        .map(|i| choose(evidence, texels, i, tolerance).unwrap_or((0, Reason::Only)))
+        .collect();
+    let known: Vec<usize> = (0..evidence.len()).filter(|&i| !evidence[i].error.is_empty()).collect();
+    let single = |model: usize| known.iter().map(|&i| f64::from(evidence[i].error[model])).sum::<f64>();
+    let allowed = (0..sizes.len()).map(single).fold(f64::INFINITY, f64::min);
+    // What one byte must gain, in error of a texel.
+    let worth = |price: f64, i: usize| {
+        let cost = |m: usize| f64::from(evidence[i].error[m]) + price * sizes[m] as f64;
+        (0..=chosen[i].0).min_by(|&a, &b| cost(a).total_cmp(&cost(b))).unwrap_or(0)
+    };
+    let error =
+        |price: f64| known.iter().map(|&i| f64::from(evidence[i].error[worth(price, i)])).sum::<f64>();
+    let (mut low, mut high) = (0.0, 1.0);
+    for _ in 0..40 {
+        let middle = 0.5 * (low + high);
+        if error(middle) <= allowed { low = middle } else { high = middle }
+    }
+    if error(low) <= allowed {
+        let economical: Vec<usize> = known.iter().map(|&i| worth(low, i)).collect();
+        for (&i, model) in known.iter().zip(economical) {
+            if model != chosen[i].0 {
+                chosen[i] = (model, Reason::Economy);
+            }
+        }
+    }
+    chosen
+}
+
+fn choose(evidence: &[Evidence], texels: Texels, index: usize, tolerance: f32) -> Option<(usize, Reason)> {
+    let own = &evidence[index];
+    let [sufficient, open] = own.choices(tolerance)?;
+    if own.error.iter().filter(|error| error.is_finite()).count() == 1 {
+        return Some((sufficient, Reason::Only));
+    }
+    let best = own.error.iter().copied().fold(f32::INFINITY, f32::min);
+    let reason = |choice: usize| match own.error[choice] {
+        error if error == best => Reason::Best,
+        error if error <= tolerance && own.relative_excess(choice) > SLACK => Reason::Tolerance,
+        _ => Reason::Sufficient,
+    };
+    if sufficient == open {
+        return Some((sufficient, reason(sufficient)));
+    }
+    let (columns, rows) = (texels.columns as usize, texels.rows as usize);
+    let (column, row) = (index % columns, index / columns);
+    let window = |at: usize, most: usize| at.saturating_sub(1)..(at + 2).min(most);
+    let excess = |model: usize| {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for row in window(row, rows) {
+            for column in window(column, columns) {
+                let near = &evidence[row * columns + column];
+                if near.error.get(model).is_some_and(|error| error.is_finite()) {
+                    sum += near.relative_excess(model);
+                    count += 1.0;
+                }
+            }
+        }
+        sum / count
+    };
+    let choice = (open..sufficient).find(|&model| own.error[model].is_finite() && excess(model) <= SLACK);
+    Some((choice.unwrap_or(sufficient), Reason::Neighbours))
+}
