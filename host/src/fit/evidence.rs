@@ -184,3 +184,76 @@ fn choose(evidence: &[Evidence], texels: Texels, index: usize, tolerance: f32) -
     let choice = (open..sufficient).find(|&model| own.error[model].is_finite() && excess(model) <= SLACK);
     Some((choice.unwrap_or(sufficient), Reason::Neighbours))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIZES: [usize; 3] = [6, 20, 34];
+
+    fn evidence(error: [f32; 3], sigma: f32) -> Evidence {
+        let least = error.iter().copied().fold(f32::INFINITY, f32::min);
+        Evidence {
+            error: error.into(),
+            excess: error.map(|e| [e - least, if e > least { sigma } else { 0.0 }]).into(),
+        }
+    }
+
+    fn row(evidence: &[Evidence]) -> Vec<(usize, Reason)> {
+        choose_models(evidence, Texels { columns: evidence.len() as u32, rows: 1 }, &SIZES, 0.0)
+    }
+
+    #[test]
+    fn the_smallest_within_two_percent_of_the_best_suffices() {
+        let clear = |error| evidence(error, 1e-4);
+        // Beside texels that need the largest, so that there is nothing to economise on.
+        let best = clear([0.3, 0.2, 0.1]);
+        let chosen = row(&[clear([0.1, 0.0999, 0.1]), best.clone(), clear([0.2, 0.1, 0.099]), best]);
+        let models: Vec<usize> = chosen.iter().map(|(model, _)| *model).collect();
+        assert_eq!(models, [0, 2, 1, 2]);
+        assert_eq!(chosen[0].1, Reason::Sufficient);
+        assert_eq!(chosen[1].1, Reason::Best);
+    }
+
+    #[test]
+    fn what_a_texel_leaves_open_its_neighbours_decide() {
+        let (needs, open) = (evidence([0.3, 0.1, 0.1], 1e-4), evidence([0.105, 0.1, 0.1], 0.02));
+        let content = evidence([0.1, 0.1, 0.1], 1e-4);
+        let among =
+            |around: &Evidence| row(&[around.clone(), around.clone(), open.clone(), around.clone()])[2];
+        assert_eq!(among(&needs), (1, Reason::Neighbours));
+        assert_eq!(among(&content).0, 0);
+    }
+
+    #[test]
+    fn a_tolerance_is_enough() {
+        let texels = Texels { columns: 1, rows: 1 };
+        let one = [evidence([0.018, 0.01, 0.009], 1e-4)];
+        assert_eq!(choose_models(&one, texels, &SIZES, 0.02), [(0, Reason::Tolerance)]);
+        assert_eq!(choose_models(&one, texels, &SIZES, 0.015)[0].0, 1);
+    }
+
+    #[test]
+    fn what_the_choice_gains_over_a_single_model_is_taken_as_size_and_no_more() {
+        // Half of the texels are best as constants: a large model for all loses there.
+        let texel = |i: usize| match i % 2 {
+            0 => evidence([0.05, 0.06, 0.07], 1e-4),
+            _ => evidence([0.1 + 0.001 * i as f32, 0.08, 0.07], 1e-4),
+        };
+        let all: Vec<Evidence> = (0..40).map(texel).collect();
+        let chosen = row(&all);
+        let error = |choice: &dyn Fn(usize) -> usize| (0..40).map(|i| all[i].error[choice(i)]).sum::<f32>();
+        let allowed = (0..3).map(|model| error(&|_| model)).fold(f32::INFINITY, f32::min);
+        assert!(error(&|i| chosen[i].0) <= allowed * 1.0001);
+        let size = chosen.iter().map(|(model, _)| SIZES[*model]).sum::<usize>();
+        assert!(size < 40 * 20, "{size}");
+        assert!(chosen.iter().any(|(_, reason)| *reason == Reason::Economy));
+    }
+
+    #[test]
+    fn a_texel_without_views_has_the_smallest_model() {
+        assert_eq!(row(&[Evidence::default()]), [(0, Reason::Only)]);
+        let few = evidence([0.1, f32::INFINITY, f32::INFINITY], 0.0);
+        assert_eq!(row(&[few]), [(0, Reason::Only)]);
+    }
+}

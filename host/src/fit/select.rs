@@ -89,8 +89,8 @@ fn held_out_error(sample: &[TexelObservations], model: Model, options: &FitOptio
     Some(*errors.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// The error in each view of `held` of a fit to `kept`, |prediction − measured| / (measured + floor), mean of the
-/// channels; `None` where nothing can be fitted or there is nothing to compare.
+/// The error in each view of `held` of a fit to `kept`, |prediction − measured| / (measured + floor) and 1 at most, mean of
+/// the channels: a lobe that only the views left out show is missed by all models, and by how much says nothing. `None` where nothing can be fitted or there is nothing to compare.
 pub(super) fn part_errors(
     fitter: &Fitter,
     kept: &TexelObservations,
@@ -105,7 +105,8 @@ pub(super) fn part_errors(
     let error = |(direction, measured): (&Vec3, &[f32; 3])| {
         let predicted = model.radiance(&fit.parameters, *direction);
         let of = |c: usize| {
-            (predicted[c] - measured[c]).abs() / (measured[c].max(0.0) + floor).max(f32::MIN_POSITIVE)
+            let scale = (measured[c].max(0.0) + floor).max(f32::MIN_POSITIVE);
+            ((predicted[c] - measured[c]).abs() / scale).min(1.0)
         };
         (of(0) + of(1) + of(2)) / 3.0
     };
