@@ -17,7 +17,7 @@ mod tests;
 mod voronoi;
 mod weights;
 
-pub use evidence::{Evidence, Reason, choose_models};
+pub use evidence::{BANDS, Evidence, Reason, choose_models, zenith_band, zenith_factors};
 pub use fitter::{FitFlags, FitOptions, Fitter, TexelFit};
 pub use harmonics::HarmonicsMethod;
 pub use model::{Model, Toward};

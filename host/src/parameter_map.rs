@@ -9,7 +9,7 @@ pub use selected::{Selection, select_surface};
 
 use glam::{DVec2, Vec3};
 
-use crate::fit::{FitFlags, Model, Reason};
+use crate::fit::{BANDS, FitFlags, Model, Reason, zenith_band};
 
 use crate::geometry::{Surface, Texels};
 
@@ -28,6 +28,8 @@ pub struct ParameterMap {
     pub parameters: Vec<f32>,
     /// How far each texel's coefficients can be trusted, where that is known.
     pub diagnostics: Option<Diagnostics>,
+    /// Where the choice of models has measured it.
+    pub uncertainty: Option<Uncertainty>,
 }
 
 /// How well each texel was fitted, texel after texel from the top-left one.
@@ -43,6 +45,18 @@ pub struct Diagnostics {
     pub runner_up: Vec<u8>,
     /// And why it was not.
     pub reason: Vec<Reason>,
+    /// The part of (radiance + [`Uncertainty::floor`]) within which 68 % of measurements in unseen directions lie, averaged over
+    /// them; infinite where that is not known.
+    pub sigma: Vec<f32>,
+}
+
+/// What turns [`Diagnostics::sigma`] into a standard deviation of radiance toward a direction.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Uncertainty {
+    /// Radiance.
+    pub floor: f32,
+    /// Per model a factor for each band of zeniths, 15 degrees wide.
+    pub zenith: Vec<[f32; BANDS]>,
 }
 
 impl ParameterMap {
@@ -61,6 +75,18 @@ impl ParameterMap {
         let index = row as usize * self.texels.columns as usize + column as usize;
         let (model, start) = (self.models[self.choice_at(index)], index * self.stride());
         (model, &self.parameters[start..start + model.parameter_count()])
+    }
+
+    /// Standard deviation of what a measurement toward `direction` will differ by from the radiance predicted for texel
+    /// (`column`, `row`), linear RGB: 68 % are within. `None` where nobody has measured it.
+    pub fn sigma(&self, column: u32, row: u32, direction: Vec3) -> Option<[f32; 3]> {
+        let (uncertainty, diagnostics) = (self.uncertainty.as_ref()?, self.diagnostics.as_ref()?);
+        let index = row as usize * self.texels.columns as usize + column as usize;
+        let (model, parameters) = self.texel(column, row);
+        let factor =
+            uncertainty.zenith[self.choice_at(index)][zenith_band(direction.z)] * diagnostics.sigma[index];
+        let radiance = model.radiance(parameters, direction);
+        factor.is_finite().then(|| radiance.map(|radiance| factor * (radiance + uncertainty.floor)))
     }
 
     /// The models' names, apart by blanks.
@@ -121,6 +147,7 @@ mod tests {
             choice: vec![],
             parameters: [[1.0; 3], [3.0; 3], [5.0; 3], [7.0; 3]].concat(),
             diagnostics: None,
+            uncertainty: None,
         };
         let mixed = ParameterMap {
             models: vec![Model::Phong { lobes: 1 }, Model::Constant],

@@ -14,7 +14,9 @@ use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use rayon::prelude::*;
 use rigel::Result;
-use rigel::fit::{Evidence, FitOptions, Fitter, Model, choose_models};
+use rigel::fit::{
+    BANDS, Evidence, FitOptions, Fitter, Model, Reason, choose_models, zenith_band, zenith_factors,
+};
 use rigel::geometry::Texels;
 use rigel::observation::TexelObservations;
 
@@ -72,11 +74,43 @@ fn main() -> Result<()> {
         let percent = |n: usize| 100.0 * n as f64 / truths.len() as f64;
         println!("{name:<12} {:>10.1} {:>10.1}  {shares:?}", percent(right), percent(same));
         all.push((percent(right), percent(same)));
+        coverage(name, &fitters, &truths, &first, &chosen[0]);
     }
     let n = all.len() as f64;
     let [right, same] = [all.iter().map(|a| a.0).sum::<f64>() / n, all.iter().map(|a| a.1).sum::<f64>() / n];
     println!("{:<12} {right:>10.1} {same:>10.1}", "all");
     Ok(())
+}
+
+/// How many measurements in fresh directions lie within one predicted standard deviation, by zenith.
+fn coverage(
+    name: &str,
+    fitters: &[Fitter],
+    truths: &[Truth],
+    observed: &[TexelObservations],
+    chosen: &[(usize, Reason)],
+) {
+    let factors = zenith_factors(fitters, observed, 0.0);
+    let mut bands = [(0, 0); BANDS];
+    for (i, ((truth, texel), &(choice, _))) in truths.iter().zip(observed).zip(chosen).enumerate() {
+        let (fitter, sigma) = (&fitters[choice], Evidence::of(fitters, texel).sigma[choice]);
+        let fit = fitter.fit(texel);
+        let mut random = StdRng::seed_from_u64(3_000_000 + i as u64);
+        for direction in directions(300, 1.3) {
+            let band = zenith_band(direction.z);
+            let (measured, _) = noisy(truth, direction, &mut random);
+            let predicted = fitter.model().radiance(&fit.parameters, direction);
+            for (predicted, measured) in predicted.into_iter().zip(measured) {
+                let within = sigma * factors[choice][band] * (predicted + fitter.floor() as f32);
+                bands[band].0 += u32::from((predicted - measured).abs() <= within);
+                bands[band].1 += 1;
+            }
+        }
+    }
+    let bands = bands.iter().filter(|(_, all)| *all > 0);
+    let shares: Vec<String> =
+        bands.map(|(in_, all)| format!("{:.1}", 100.0 * f64::from(*in_) / f64::from(*all))).collect();
+    println!("{:<12} within one sigma, by zenith in steps of 15 degrees: {} %", name, shares.join(" "));
 }
 
 /// A texel's true radiance: a diffuse colour, lobes, and smooth terms.

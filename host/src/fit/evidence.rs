@@ -1,7 +1,9 @@
 //! Which model a texel needs, by how well each predicts views that its fit has not seen.
 
 use super::fitter::Fitter;
-use super::select::{PARTS, part_errors, split};
+use super::select::{HeldOut, PARTS, predict, split};
+use rayon::prelude::*;
+
 use crate::geometry::Texels;
 use crate::observation::TexelObservations;
 
@@ -12,28 +14,39 @@ pub struct Evidence {
     pub error: Vec<f32>,
     /// Per model by how much that exceeds the least of them, and the standard error of this over the views.
     pub excess: Vec<[f32; 2]>,
+    /// Per model the part of (prediction + floor) within which 68 % of the measurements lie.
+    pub sigma: Vec<f32>,
+}
+
+/// Every view of a texel as the others predict it, a fifth of them at a time; `None` where that needs more views.
+fn held_out(fitter: &Fitter, texel: &TexelObservations) -> Option<Vec<HeldOut>> {
+    let mut all = vec![];
+    for part in 0..PARTS {
+        let (kept, held) = split(texel, part);
+        if !held.is_empty() {
+            all.extend(predict(fitter, &kept, &held)?);
+        }
+    }
+    if all.is_empty() { None } else { Some(all) }
+}
+
+/// 68.27 % of `values` are at most this.
+fn one_sigma(values: &mut [f32]) -> f32 {
+    // Of few values the quantile is that of the next larger one: those seen are no upper bound of those to come.
+    let rank = (0.6827 * (values.len() as f32 + 1.0)).floor() as usize;
+    let rank = rank.min(values.len().saturating_sub(1));
+    if values.is_empty() { f32::INFINITY } else { *values.select_nth_unstable_by(rank, f32::total_cmp).1 }
 }
 
 impl Evidence {
     /// Compares the models of `fitters` on one texel: every fifth of its views predicted from the others.
     pub fn of(fitters: &[Fitter], texel: &TexelObservations) -> Self {
-        let mut errors: Vec<Option<Vec<f32>>> = vec![Some(vec![]); fitters.len()];
-        for part in 0..PARTS {
-            let (kept, held) = split(texel, part);
-            if held.is_empty() {
-                continue;
-            }
-            for (errors, fitter) in errors.iter_mut().zip(fitters) {
-                let more = part_errors(fitter, &kept, &held);
-                *errors = errors.take().zip(more).map(|(mut errors, more)| {
-                    errors.extend(more);
-                    errors
-                });
-            }
-        }
+        let views: Vec<_> = fitters.iter().map(|fitter| held_out(fitter, texel)).collect();
+        let errors: Vec<Option<Vec<f32>>> =
+            views.iter().map(|views| Some(views.as_ref()?.iter().map(|view| view.error).collect())).collect();
         let mean = |errors: &Option<Vec<f32>>| match errors {
-            Some(errors) if !errors.is_empty() => errors.iter().sum::<f32>() / errors.len() as f32,
-            _ => f32::INFINITY,
+            Some(errors) => errors.iter().sum::<f32>() / errors.len() as f32,
+            None => f32::INFINITY,
         };
         let error: Vec<f32> = errors.iter().map(mean).collect();
         let least = (0..error.len()).min_by(|&a, &b| error[a].total_cmp(&error[b]));
@@ -45,7 +58,10 @@ impl Evidence {
             let squares = errors.iter().zip(best).map(|(error, best)| (error - best - mean).powi(2));
             [mean, (squares.sum::<f32>() / (count - 1.0).max(1.0) / count).sqrt()]
         };
-        Self { excess: errors.iter().map(excess).collect(), error }
+        let sigma = |views: &Option<Vec<HeldOut>>| {
+            one_sigma(&mut views.iter().flatten().flat_map(|view| view.relative).collect::<Vec<_>>())
+        };
+        Self { excess: errors.iter().map(excess).collect(), sigma: views.iter().map(sigma).collect(), error }
     }
 
     /// The smallest sufficient model (the models are in order of their size), and the smallest of which the views cannot say
@@ -76,6 +92,39 @@ impl Evidence {
         let others = (0..self.error.len()).filter(|m| *m != choice && self.error[*m].is_finite());
         others.min_by(|&a, &b| self.error[a].total_cmp(&self.error[b]))
     }
+}
+
+/// Width of the zenith bands of [`zenith_factors`], degrees.
+pub const BAND_DEG: f32 = 15.0;
+/// How many there are.
+pub const BANDS: usize = 6;
+/// Fewer residuals in a band say nothing of it.
+const FEWEST_RESIDUALS: usize = 300;
+
+/// Which band a direction is in, by the cosine of its zenith.
+pub fn zenith_band(cosine: f32) -> usize {
+    ((cosine.clamp(0.0, 1.0).acos().to_degrees() / BAND_DEG) as usize).min(BANDS - 1)
+}
+
+/// Per model, by how much its standard deviation differs from the texel's own in each band of zeniths, from the texels of
+/// a `sample` that choose it: near the horizon everything is less sure.
+pub fn zenith_factors(fitters: &[Fitter], sample: &[TexelObservations], tolerance: f32) -> Vec<[f32; BANDS]> {
+    let of_texel = |texel: &TexelObservations| {
+        let evidence = Evidence::of(fitters, texel);
+        let [model, _] = evidence.choices(tolerance)?;
+        let sigma = evidence.sigma[model].max(f32::MIN_POSITIVE);
+        let ratios = held_out(&fitters[model], texel)?.into_iter();
+        let ratios = ratios.map(|view| (zenith_band(view.cosine), view.relative.map(|r| r / sigma)));
+        Some((model, ratios.collect::<Vec<_>>()))
+    };
+    let found: Vec<_> = sample.par_iter().filter_map(of_texel).collect();
+    let factor = |model: usize, band: usize| {
+        let views = found.iter().filter(|(of, _)| *of == model).flat_map(|(_, ratios)| ratios);
+        let mut ratios: Vec<f32> =
+            views.filter(|(of, _)| *of == band).flat_map(|(_, ratios)| *ratios).collect();
+        if ratios.len() < FEWEST_RESIDUALS { 1.0 } else { one_sigma(&mut ratios) }
+    };
+    (0..fitters.len()).map(|model| std::array::from_fn(|band| factor(model, band))).collect()
 }
 
 /// A model that predicts so little worse than the best is as good.
@@ -194,6 +243,7 @@ mod tests {
     fn evidence(error: [f32; 3], sigma: f32) -> Evidence {
         let least = error.iter().copied().fold(f32::INFINITY, f32::min);
         Evidence {
+            sigma: error.into(),
             error: error.into(),
             excess: error.map(|e| [e - least, if e > least { sigma } else { 0.0 }]).into(),
         }
@@ -248,6 +298,17 @@ mod tests {
         let size = chosen.iter().map(|(model, _)| SIZES[*model]).sum::<usize>();
         assert!(size < 40 * 20, "{size}");
         assert!(chosen.iter().any(|(_, reason)| *reason == Reason::Economy));
+    }
+
+    #[test]
+    fn one_sigma_holds_68_percent_of_what_comes() {
+        // The quantile of a few values is exceeded by a new one as often as it should be: ranks are uniform.
+        for count in [4, 10, 75] {
+            let mut values: Vec<f32> = (1..=count).map(|i| i as f32).collect();
+            let covered = one_sigma(&mut values) / (count as f32 + 1.0);
+            assert!((covered - 0.6827).abs() < 1.0 / count as f32, "{count}: {covered}");
+        }
+        assert_eq!(one_sigma(&mut []), f32::INFINITY);
     }
 
     #[test]

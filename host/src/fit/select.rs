@@ -78,8 +78,8 @@ fn held_out_error(sample: &[TexelObservations], model: Model, options: &FitOptio
         let (kept, held): (Vec<_>, Vec<_>) = sample.iter().map(|texel| split(texel, part)).unzip();
         let fitter = Fitter::new(model, options, &kept).ok()?;
         errors.par_extend(kept.par_iter().zip(&held).filter_map(|(kept, held)| {
-            let errors = part_errors(&fitter, kept, held)?;
-            Some(errors.iter().map(|error| f64::from(*error)).sum::<f64>() / errors.len() as f64)
+            let views = predict(&fitter, kept, held)?;
+            Some(views.iter().map(|view| f64::from(view.error)).sum::<f64>() / views.len() as f64)
         }));
     }
     if errors.is_empty() {
@@ -89,28 +89,40 @@ fn held_out_error(sample: &[TexelObservations], model: Model, options: &FitOptio
     Some(*errors.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// The error in each view of `held` of a fit to `kept`, |prediction − measured| / (measured + floor) and 1 at most, mean of
-/// the channels: a lobe that only the views left out show is missed by all models, and by how much says nothing. `None` where nothing can be fitted or there is nothing to compare.
-pub(super) fn part_errors(
+/// How well a view was predicted that the fit has not seen.
+pub(super) struct HeldOut {
+    /// |prediction − measured| / (measured + floor) and 1 at most, mean of the channels: a lobe that only the views left out
+    /// show is missed by all models, and by how much says nothing.
+    pub error: f32,
+    /// |prediction − measured| / (prediction + floor) of each channel.
+    pub relative: [f32; 3],
+    /// Cosine of the view's zenith.
+    pub cosine: f32,
+}
+
+/// The views of `held` as a fit to `kept` predicts them; `None` where nothing can be fitted or there is nothing to compare.
+pub(super) fn predict(
     fitter: &Fitter,
     kept: &TexelObservations,
     held: &TexelObservations,
-) -> Option<Vec<f32>> {
+) -> Option<Vec<HeldOut>> {
     let model = fitter.model();
     if kept.len() < model.unknowns() || held.is_empty() {
         return None;
     }
     let fit = fitter.fit(kept);
-    let floor = fitter.floor() as f32;
-    let error = |(direction, measured): (&Vec3, &[f32; 3])| {
+    let floor = (fitter.floor() as f32).max(f32::MIN_POSITIVE);
+    let view = |(direction, measured): (&Vec3, &[f32; 3])| {
         let predicted = model.radiance(&fit.parameters, *direction);
-        let of = |c: usize| {
-            let scale = (measured[c].max(0.0) + floor).max(f32::MIN_POSITIVE);
-            ((predicted[c] - measured[c]).abs() / scale).min(1.0)
-        };
-        (of(0) + of(1) + of(2)) / 3.0
+        let miss = |c: usize| (predicted[c] - measured[c]).abs();
+        let error = |c: usize| (miss(c) / (measured[c].max(0.0) + floor)).min(1.0);
+        HeldOut {
+            error: (error(0) + error(1) + error(2)) / 3.0,
+            relative: [0, 1, 2].map(|c| miss(c) / (predicted[c] + floor)),
+            cosine: direction.z,
+        }
     };
-    Some(held.direction.iter().zip(&held.radiance).map(error).collect())
+    Some(held.direction.iter().zip(&held.radiance).map(view).collect())
 }
 
 /// The texel without, and with only, the views of one part.

@@ -9,10 +9,10 @@ use exr::prelude::{
 };
 use half::f16;
 
-use super::{Diagnostics, ParameterMap};
+use super::{Diagnostics, ParameterMap, Uncertainty};
 use crate::error::{Error, Result};
 use crate::file::write_beside;
-use crate::fit::{FitFlags, Model, Reason};
+use crate::fit::{BANDS, FitFlags, Model, Reason};
 use crate::geometry::{Surface, Texels};
 
 const MODEL: &str = "rigelModel";
@@ -25,6 +25,9 @@ const FLAGS: &str = "fit.flags";
 const CHOICE: &str = "fit.model";
 const RUNNER_UP: &str = "fit.runnerUp";
 const REASON: &str = "fit.reason";
+const SIGMA: &str = "fit.sigma";
+const FLOOR: &str = "rigelSigmaFloor";
+const ZENITH: &str = "rigelSigmaZenith";
 const UNIT: &str = "the radiance of the session's pictures; metres, of a COLMAP model its own unit of length";
 const MAKE_AGAIN: &str = "fit the observation map again with `rigel fit`";
 
@@ -87,6 +90,9 @@ impl ParameterMap {
                 channels.push(AnyChannel::new(RUNNER_UP, numbers(&diagnostics.runner_up)));
                 channels.push(AnyChannel::new(REASON, numbers(&reasons)));
             }
+            if self.uncertainty.is_some() {
+                channels.push(AnyChannel::new(SIGMA, FlatSamples::F32(diagnostics.sigma.clone())));
+            }
         }
         let mut attributes =
             LayerAttributes { comments: Some(self.meaning().as_str().into()), ..Default::default() };
@@ -97,6 +103,14 @@ impl ParameterMap {
             (Text::from(HEIGHT), AttributeValue::F64(self.surface.height_m)),
             (Text::from("rigelUnit"), AttributeValue::Text(UNIT.into())),
         ]);
+        if let Some(uncertainty) = &self.uncertainty {
+            let text = |factors: &[f32; BANDS]| factors.map(|factor| factor.to_string()).join(" ");
+            let zenith: Vec<String> = uncertainty.zenith.iter().map(text).collect();
+            attributes.other.extend([
+                (Text::from(FLOOR), AttributeValue::F64(uncertainty.floor.into())),
+                (Text::from(ZENITH), AttributeValue::Text(zenith.join("; ").as_str().into())),
+            ]);
+        }
         let size = (self.texels.columns as usize, self.texels.rows as usize);
         let layer = Layer::new(
             size,
@@ -140,11 +154,11 @@ impl ParameterMap {
             };
             found.ok_or_else(missing)
         };
-        let length = |name: &'static str| match attribute(name)? {
+        let positive = |name: &'static str| match attribute(name)? {
             AttributeValue::F64(value) if value.is_finite() && *value > 0.0 => Ok(*value),
             other => Err(Error::input(
                 path,
-                format!("its attribute {name} is {other:?}, no length in metres"),
+                format!("its attribute {name} is {other:?}, not a number above 0"),
                 MAKE_AGAIN,
             )),
         };
@@ -163,7 +177,7 @@ impl ParameterMap {
                 ));
             }
         };
-        let surface = Surface { width_m: length(WIDTH)?, height_m: length(HEIGHT)? };
+        let surface = Surface { width_m: positive(WIDTH)?, height_m: positive(HEIGHT)? };
         let texels = Texels { columns: layer.size.0 as u32, rows: layer.size.1 as u32 };
         let channel = |name: &str| layer.channel_data.list.iter().find(|channel| channel.name.eq(name));
         let numbers = |name: &str, below: usize| -> Result<Option<Vec<u8>>> {
@@ -191,7 +205,15 @@ impl ParameterMap {
                 )
             })?,
         };
-        let mut map = Self { surface, texels, models, choice, parameters: vec![], diagnostics: None };
+        let mut map = Self {
+            surface,
+            texels,
+            models,
+            choice,
+            parameters: vec![],
+            diagnostics: None,
+            uncertainty: None,
+        };
         let count = map.stride();
         map.parameters = vec![0.0; count * texels.count()];
         for (name, _) in map.channels() {
@@ -228,9 +250,24 @@ impl ParameterMap {
                     .into_iter()
                     .map(|reason| Reason::ALL[usize::from(reason)])
                     .collect(),
+                sigma: channel(SIGMA)
+                    .map_or_else(Vec::new, |sigma| sigma.sample_data.values_as_f32().collect()),
             }),
             _ => None,
         };
+        if let (Ok(AttributeValue::Text(zenith)), Some(_)) = (attribute(ZENITH), channel(SIGMA)) {
+            let floor = positive(FLOOR)? as f32;
+            let factors = |text: &str| {
+                let numbers: Vec<f32> = text.split(' ').filter_map(|number| number.parse().ok()).collect();
+                <[f32; BANDS]>::try_from(numbers).ok()
+            };
+            let zenith: Option<Vec<_>> = zenith.to_string().split("; ").map(factors).collect();
+            let zenith = zenith.filter(|zenith| zenith.len() == map.models.len()).ok_or_else(|| {
+                let what = format!("its attribute {ZENITH} does not hold {BANDS} numbers for each model");
+                Error::input(path, what, MAKE_AGAIN)
+            })?;
+            map.uncertainty = Some(Uncertainty { floor, zenith });
+        }
         Ok(map)
     }
 
@@ -294,6 +331,8 @@ fn small_enough(values: Vec<f32>) -> FlatSamples {
 
 #[cfg(test)]
 mod tests {
+    use glam::Vec3;
+
     use super::*;
 
     fn map(model: Model, scale: f32) -> ParameterMap {
@@ -309,7 +348,8 @@ mod tests {
         };
         let surface = Surface { width_m: 0.2, height_m: 0.15 };
         let (models, choice) = (vec![model], vec![]);
-        ParameterMap { surface, texels, models, choice, parameters, diagnostics: Some(diagnostics) }
+        let diagnostics = Some(diagnostics);
+        ParameterMap { surface, texels, models, choice, parameters, diagnostics, uncertainty: None }
     }
 
     #[test]
@@ -327,10 +367,18 @@ mod tests {
         let diagnostics = mixed.diagnostics.as_mut().unwrap();
         diagnostics.runner_up = (0..15).map(|texel| (texel + 1) % 3).collect();
         diagnostics.reason = (0..15).map(|texel| Reason::ALL[texel % 6]).collect();
+        diagnostics.sigma = (0..15).map(|texel| 0.01 * texel as f32).collect();
+        let zenith = (0..3).map(|model| [1.0, 0.9, 0.8, 1.1, 1.5, model as f32]).collect();
+        mixed.uncertainty = Some(Uncertainty { floor: 0.25, zenith });
         mixed.write(&path).unwrap();
         let back = ParameterMap::read(&path).unwrap();
         assert_eq!((&back.models, &back.choice), (&mixed.models, &mixed.choice));
         assert_eq!(back.diagnostics, mixed.diagnostics);
+        assert_eq!(back.uncertainty, mixed.uncertainty);
+        let direction = Vec3::new(0.0, 0.6, 0.8);
+        let (model, parameters) = mixed.texel(1, 0);
+        let expected = 0.01 * 0.8 * (model.radiance(parameters, direction)[0] + 0.25);
+        assert!((mixed.sigma(1, 0, direction).unwrap()[0] / expected - 1.0).abs() < 1e-5);
         assert!(back.parameters.iter().zip(&mixed.parameters).all(|(a, b)| (a - b).abs() <= 2e-3));
         assert!((mixed.bytes_per_texel() - (1.0 + (6.0 + 20.0 + 34.0) / 3.0)).abs() < 1e-12);
         mixed.choice[4] = 3;

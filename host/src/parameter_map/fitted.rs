@@ -57,6 +57,7 @@ pub fn fit_surface(
         choice: vec![],
         parameters,
         diagnostics: Some(diagnostics),
+        uncertainty: None,
     })
 }
 

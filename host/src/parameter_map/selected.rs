@@ -6,9 +6,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
-use super::ParameterMap;
 use super::fitted::{empty, leave_out};
-use crate::fit::{Evidence, FitOptions, Fitter, Model, Reason, choose_models};
+use super::{ParameterMap, Uncertainty};
+use crate::fit::{Evidence, FitOptions, Fitter, Model, Reason, choose_models, zenith_factors};
 use crate::observation::{ObservationMap, TexelObservations};
 use crate::progress::Progress;
 use crate::{Error, Result};
@@ -75,16 +75,19 @@ pub fn select_surface(
         choice: vec![0; texels.count()],
         parameters: vec![],
         diagnostics: None,
+        uncertainty: None,
     };
     let sizes: Vec<usize> = fitted.models.iter().map(Model::bytes_per_texel).collect();
     let mut diagnostics = empty(texels.count());
     (diagnostics.runner_up, diagnostics.reason) =
         (vec![0; texels.count()], vec![Reason::Only; texels.count()]);
+    diagnostics.sigma = vec![0.0; texels.count()];
     for (i, (choice, reason)) in
         choose_models(&evidence, texels, &sizes, selection.tolerance).into_iter().enumerate()
     {
         (fitted.choice[i], diagnostics.reason[i]) = (choice as u8, reason);
         diagnostics.runner_up[i] = evidence[i].runner_up(choice).unwrap_or(choice) as u8;
+        diagnostics.sigma[i] = evidence[i].sigma.get(choice).copied().unwrap_or(f32::INFINITY);
     }
     let stride = fitted.stride();
     let target = Mutex::new((vec![0f32; texels.count() * stride], diagnostics));
@@ -107,6 +110,10 @@ pub fn select_surface(
     let (parameters, diagnostics) = target.into_inner().map_err(|_| Error::Interrupted)?;
     fitted.parameters = parameters;
     fitted.diagnostics = Some(diagnostics);
+    fitted.uncertainty = Some(Uncertainty {
+        floor: fitters[0].floor() as f32,
+        zenith: zenith_factors(&fitters, &sample, selection.tolerance),
+    });
     fitted.forget_unused();
     Ok(fitted)
 }
@@ -144,6 +151,9 @@ impl ParameterMap {
         self.choice.iter_mut().for_each(renumber);
         if let Some(diagnostics) = &mut self.diagnostics {
             diagnostics.runner_up.iter_mut().for_each(renumber);
+        }
+        if let Some(uncertainty) = &mut self.uncertainty {
+            uncertainty.zenith = named.iter().map(|model| uncertainty.zenith[usize::from(*model)]).collect();
         }
         self.models = named.iter().map(|model| self.models[usize::from(*model)]).collect();
         let stride = self.stride();
