@@ -4,6 +4,7 @@ use glam::{DMat3, DVec2, DVec3};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use rayon::prelude::*;
+use rigel::calibration::BoardCorner;
 use rigel::geometry::Lens;
 use rigel::picture::Picture;
 
@@ -68,6 +69,19 @@ impl Board {
             .flat_map(|row| (0..columns).map(move |column| (f64::from(column), f64::from(row))))
             .map(|(column, row)| self.pixel(lens, column, row))
             .collect()
+    }
+
+    /// The inner corners as a detector with noise of `sigma_px` finds them; `None` where one is not before the lens.
+    pub fn detected(&self, lens: &Lens, sigma_px: f64, seed: u64) -> Option<Vec<BoardCorner>> {
+        let mut random = StdRng::seed_from_u64(seed);
+        let corners = self.corners(lens)?.into_iter().enumerate().map(|(i, pixel)| BoardCorner {
+            column: i as u32 % self.columns,
+            row: i as u32 / self.columns,
+            pixel: pixel + sigma_px * DVec2::new(normal(&mut random), normal(&mut random)),
+            sigma_px,
+            blur_px: 0.6,
+        });
+        Some(corners.collect())
     }
 
     /// Whether the whole board with half a square around it is in the picture.
