@@ -53,6 +53,8 @@ pub fn field(
             "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{wide:.1}\" height=\"{tall:.1}\" fill=\"currentColor\" fill-opacity=\"{shade:.3}\"/>"
         );
     }
+    // An inner picture cuts off what points beyond the photograph.
+    let _ = writeln!(svg, "<svg width=\"{WIDTH}\" height=\"{height:.1}\">");
     for arrow in arrows {
         // A pixel's centre is an integer.
         let (x, y) = (scale * (arrow.at.0 + 0.5), scale * (arrow.at.1 + 0.5));
@@ -66,7 +68,7 @@ pub fn field(
     }
     let _ = writeln!(
         svg,
-        "<rect x=\"0.5\" y=\"0.5\" width=\"{:.1}\" height=\"{:.1}\" fill=\"none\" stroke=\"currentColor\"/>",
+        "</svg>\n<rect x=\"0.5\" y=\"0.5\" width=\"{:.1}\" height=\"{:.1}\" fill=\"none\" stroke=\"currentColor\"/>",
         WIDTH - 1.0,
         height - 1.0
     );
@@ -74,7 +76,7 @@ pub fn field(
     let longest = arrows.iter().map(|arrow| arrow.by.0.hypot(arrow.by.1)).fold(0.0, f64::max);
     if longest > 0.0 && magnified > 0.0 {
         legend.arrow(round(KEY / (scale * magnified)), scale * magnified);
-        if arrows.iter().any(|arrow| !arrow.strong) {
+        if arrows.iter().any(|arrow| !arrow.strong && arrow.by != (0.0, 0.0)) {
             legend.dot(STRONG, "used");
             legend.dot(WEAK, "left out");
         }

@@ -17,7 +17,16 @@ pub fn figure(folder: &Path, report: &mut Report, name: &str, svg: String, capti
 
 /// A table on the page, and as a file of this name.
 pub fn table(folder: &Path, report: &mut Report, name: &str, table: &Table, caption: &str) -> Result<()> {
-    report.table(format!("{caption} Raw in {name}.csv."), table.header(), table.rows().to_vec());
+    // With spaces, so that the words of a column's name may stand below each other.
+    let header: Vec<String> = table.header().iter().map(|name| name.replace('_', " ")).collect();
+    let header: Vec<&str> = header.iter().map(String::as_str).collect();
+    report.table(format!("{caption} Raw in {name}.csv."), &header, table.rows().to_vec());
+    table.write(&folder.join(format!("{name}.csv")))
+}
+
+/// All figures of a sweep as a file of this name; the page has its charts.
+pub fn raw(folder: &Path, report: &mut Report, name: &str, table: &Table) -> Result<()> {
+    report.text(format!("All figures are in {name}.csv."));
     table.write(&folder.join(format!("{name}.csv")))
 }
 

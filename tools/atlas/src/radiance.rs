@@ -15,7 +15,7 @@ use rigel::report::Report;
 use rigel_simulated::camera::{Options, SimulatedCamera};
 use rigel_simulated::scene::Scene;
 
-use crate::figures::{figure, marks_and_line, quantile, table};
+use crate::figures::{figure, marks_and_line, quantile, raw};
 use crate::machine::cpu_seconds;
 use crate::table::Table;
 
@@ -94,7 +94,7 @@ struct Error {
 /// What merging, drawing or writing reports.
 pub fn sweep(folder: &Path, report: &mut Report, progress: &dyn Progress) -> Result<()> {
     let total = BRACKETS.len() + regimes::STEPS;
-    let mut raw = Table::new(&[
+    let mut figures = Table::new(&[
         "method",
         "exposures",
         "stops",
@@ -119,7 +119,7 @@ pub fn sweep(folder: &Path, report: &mut Report, progress: &dyn Progress) -> Res
                 Err(refused) => {
                     let unknown = ["-"; 6].map(str::to_owned);
                     let start = [name.to_owned(), count.to_string(), stops.to_string()];
-                    raw.row(start.into_iter().chain(unknown).chain([refused.to_string()]).collect());
+                    figures.row(start.into_iter().chain(unknown).chain([refused.to_string()]).collect());
                     continue;
                 }
             };
@@ -128,10 +128,10 @@ pub fn sweep(folder: &Path, report: &mut Report, progress: &dyn Progress) -> Res
                 let unknown = ["-"; 6].map(str::to_owned);
                 let start = [name.to_owned(), count.to_string(), stops.to_string()];
                 let why = "gives no number".to_owned();
-                raw.row(start.into_iter().chain(unknown).chain([why]).collect());
+                figures.row(start.into_iter().chain(unknown).chain([why]).collect());
                 continue;
             }
-            raw.row(vec![
+            figures.row(vec![
                 name.to_owned(),
                 count.to_string(),
                 stops.to_string(),
@@ -182,7 +182,7 @@ pub fn sweep(folder: &Path, report: &mut Report, progress: &dyn Progress) -> Res
         chart::lines(&by_exposures, exposures)?,
         "Number of exposures against error: marks the median, lines the 95th percentile.",
     )?;
-    table(folder, report, "radiance", &raw, "All figures.")?;
+    raw(folder, report, "radiance", &figures)?;
     regimes::sweep(folder, report, &|step| progress.step(BRACKETS.len() + step, total))?;
     progress.step(total, total)
 }

@@ -19,15 +19,16 @@ use crate::table::Table;
 type Regime = (&'static str, fn(&Lens) -> Vec<BoardView>);
 
 const REGIMES: [Regime; 8] = [
-    ("14 boards all over the picture", |lens| strewn(lens, 14)),
+    ("14 boards, out to the corners of the picture", |lens| seen(&all_over(lens), lens, SIGMA_PX, 1)),
     ("five boards", |lens| strewn(lens, 5)),
     ("three boards", |lens| strewn(lens, 3)),
     ("14 boards, only in the middle", |lens| seen(&placed(14, 24.0, 0.6, 0.45), lens, SIGMA_PX, 1)),
     ("14 boards, all parallel", |lens| seen(&placed(14, 11.0, 2.0, 0.0), lens, SIGMA_PX, 1)),
-    ("corners good to half a pixel only", |lens| seen(&strew(lens, 9, 6, 14, 1), lens, 0.5, 1)),
+    ("the same, corners good to half a pixel only", |lens| seen(&all_over(lens), lens, 0.5, 1)),
     ("14 photographs of a bent board", |lens| {
-        let mut views = strewn(lens, 14);
-        for (view, board) in views.iter_mut().zip(strew(lens, 9, 6, 14, 1)) {
+        let boards = all_over(lens);
+        let mut views = seen(&boards, lens, SIGMA_PX, 1);
+        for (view, board) in views.iter_mut().zip(boards) {
             for corner in &mut view.corners {
                 let from_middle = (f64::from(corner.column) - 4.0) / 4.0;
                 let point =
@@ -41,7 +42,7 @@ const REGIMES: [Regime; 8] = [
     }),
     ("two of 14 boards photographed at another zoom", |lens| {
         let zoomed = Lens { fx: 1.08 * lens.fx, fy: 1.08 * lens.fy, ..*lens };
-        let boards = placed(14, 12.0, 1.2, 0.45);
+        let boards = all_over(lens);
         let mut views = seen(&boards, lens, SIGMA_PX, 1);
         for bad in [4, 9] {
             views[bad].corners = seen(&boards[bad..=bad], &zoomed, SIGMA_PX, 7)[0].corners.clone();
@@ -55,6 +56,18 @@ pub(super) const STEPS: usize = REGIMES.len();
 
 fn strewn(lens: &Lens, count: usize) -> Vec<BoardView> {
     seen(&strew(lens, 9, 6, count, 1), lens, SIGMA_PX, 1)
+}
+
+/// Six boards strewn over the picture and two in each of its corners, partly outside.
+fn all_over(lens: &Lens) -> Vec<Board> {
+    let corners = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)];
+    let in_corner = |(x, y): (f64, f64)| {
+        [(10.0, 0.4), (12.0, -0.35)].map(|(distance, tilt): (f64, f64)| {
+            let centre = DVec3::new(2.6 * x, 2.2 * y, distance);
+            Board::at(9, 6, 1.0, DVec3::new(tilt * y, -tilt * x, 0.1 * x), centre)
+        })
+    };
+    strew(lens, 9, 6, 6, 1).into_iter().chain(corners.into_iter().flat_map(in_corner)).collect()
 }
 
 /// Boards at a distance, with their centres up to `aside` from the camera's axis and tilted by up to `tilt_rad` to all sides; lengths in
@@ -75,8 +88,7 @@ fn placed(count: usize, distance: f64, aside: f64, tilt_rad: f64) -> Vec<Board> 
 pub(super) fn sweep(folder: &Path, report: &mut Report, step: &dyn Fn(usize) -> Result<()>) -> Result<()> {
     report.heading("Lens: where boards are bad");
     report.text(
-        "The picture, shaded by the standard deviation that is stated; dots are the corners of the boards, lines the actual error, many times as \
-         long as it is.",
+        "The picture, shaded by the standard deviation that is stated; orange dots are the corners of the boards, lines the actual error.",
     );
     let lens = truth();
     let mut rows = Table::new(&[
@@ -155,11 +167,13 @@ fn judged(name: &str, found: &LensCalibration, places: &[Shown]) -> (Vec<String>
     let arrows: Vec<Arrow> = seen.chain(lines).collect();
     let cells = (COLUMNS, ROWS);
     let sigmas = found.projection_sigmas_px(COLUMNS, ROWS);
+    let times =
+        if magnified == 1.0 { String::new() } else { format!(", {magnified} times as long as it is") };
     let caption =
-        format!("lines: actual error, {magnified} times as long as it is; shades: stated standard deviation");
+        format!("orange: corners of boards; lines: actual error{times}; shades: stated standard deviation");
     (row, field((lens.width, lens.height), &arrows, magnified, (&sigmas, cells), &caption))
 }
 
 fn dot(pixel: DVec2) -> Arrow {
-    Arrow { at: pixel.into(), by: (0.0, 0.0), strong: true }
+    Arrow { at: pixel.into(), by: (0.0, 0.0), strong: false }
 }

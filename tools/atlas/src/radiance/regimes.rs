@@ -132,13 +132,17 @@ fn one(regime: &Regime) -> Result<(Vec<String>, Picture)> {
     let mut samples = Samples::default();
     brackets.iter().try_for_each(|bracket| samples.add(&bracket.stack))?;
     let Learnt { response, noise, doubtful } = samples.learn()?;
-    let mut said: Vec<String> = doubtful
-        .iter()
-        .map(|time| {
-            let path = time.path.display();
-            format!("{path}: {:.4} s stated; {:.4} s measured", time.stated_s, time.measured_s)
-        })
-        .collect();
+    let mut said: Vec<String> = vec![];
+    if let Some(time) = doubtful.first() {
+        said.push(format!(
+            "{} of {} exposure times are wrong: {} was taken with {:.4} s, not the {:.4} s that are stated",
+            doubtful.len(),
+            brackets.len() * regime.exposures as usize,
+            time.path.display(),
+            time.measured_s,
+            time.stated_s
+        ));
+    }
     let mut merged = vec![];
     for bracket in &brackets {
         let mut stack = bracket.stack.clone();
@@ -149,15 +153,22 @@ fn one(regime: &Regime) -> Result<(Vec<String>, Picture)> {
         }
         merged.push(merge(&stack, &response, &noise)?);
     }
-    let flagged =
-        |flag| merged.iter().flat_map(|image| &image.mask).filter(|&&mask| mask & flag != 0).count();
+    // Beside the board there is nothing to measure.
+    let on_board = || {
+        let pixels = |(bracket, image): (&'_ Bracket, &'_ RadianceImage)| {
+            let board = bracket.truth.iter().map(|truth| truth[1] > 0.0);
+            board.zip(image.mask.clone()).filter(|(on, _)| *on).map(|(_, mask)| mask).collect::<Vec<_>>()
+        };
+        brackets.iter().zip(&merged).flat_map(pixels)
+    };
+    let share = |flag| on_board().filter(|mask| mask & flag != 0).count() as f64 / on_board().count() as f64;
     for (flag, word) in [
         (RadianceImage::SATURATED, "saturated"),
         (RadianceImage::DARK, "too dark"),
         (RadianceImage::GHOST, "moved"),
     ] {
-        if flagged(flag) > 0 {
-            said.push(format!("{} pixels {word}", flagged(flag)));
+        if share(flag) >= 5e-5 {
+            said.push(format!("{:.2} % of the pixels are {word}", 100.0 * share(flag)));
         }
     }
     let error = error(&brackets, &merged);
@@ -176,7 +187,7 @@ fn one(regime: &Regime) -> Result<(Vec<String>, Picture)> {
         regime.name,
         100.0 * error.median,
         100.0 * error.masked,
-        if doubtful.is_empty() { "" } else { "; the times are said to be wrong" }
+        if doubtful.is_empty() { "" } else { "; the times are told to be wrong" }
     );
     Ok((row, Picture { png, caption }))
 }
