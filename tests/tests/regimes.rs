@@ -11,7 +11,7 @@ use rigel::geometry::Lens;
 use rigel::picture::Picture;
 use rigel::progress::Silent;
 use rigel::radiance::{RadianceImage, Samples, Stack, merge};
-use rigel_simulated::board::{Board, strew};
+use rigel_simulated::board::{Board, cover};
 use rigel_simulated::camera::{Options, SimulatedCamera};
 use rigel_simulated::scene::Scene;
 use rigel_simulated::squares::{DISTANCE_M, Look, SquaresRig, TrueView};
@@ -32,7 +32,7 @@ fn calibrated(boards: &[Board]) -> LensCalibration {
 
 #[test]
 fn boards_only_in_the_middle_leave_the_corners_unknown_and_say_so() {
-    let whole = calibrated(&strew(&wide(), 9, 6, 14, 1));
+    let whole = calibrated(&cover(&wide(), 1));
     let middle: Vec<Board> = (0..14)
         .map(|i| {
             let around = DVec2::from_angle(2.4 * f64::from(i));
@@ -110,7 +110,9 @@ fn fewer_squares_are_less_accurate_and_say_so() {
         let stated = rms(&|i| found.views[i].direction_sigma_rad().to_degrees());
         println!("{squares} squares: {error:.4} degrees off, {stated:.4} stated");
         assert!(error > before.0 && stated > before.1, "{squares}: {error} {stated}");
-        assert!((0.3..3.0).contains(&(error / stated)), "{squares}: {error} {stated}");
+        // Without squares nothing tells how far off the rig is: what is stated then is on the safe side.
+        let least = if squares == 0 { 0.0 } else { 0.3 };
+        assert!((least..3.0).contains(&(error / stated)), "{squares}: {error} {stated}");
         before = (error, stated);
     }
 }
@@ -149,7 +151,8 @@ fn what_is_clipped_is_a_lower_bound_and_the_rest_is_measured() {
     let count = (0..truth.len()).filter(|&i| saturated(i)).count();
     let share = count as f64 / sorted.len() as f64;
     println!("{:.2} % of the board are saturated", 100.0 * share);
-    assert!((0.005..0.03).contains(&share), "{share}");
+    // What is nearly white is not trusted either.
+    assert!((0.01..0.06).contains(&share), "{share}");
     for channel in 0..3 {
         let ratio = |i: usize| f64::from(merged.radiance[i][channel] / truth[i][channel]);
         let mut ratios: Vec<f64> =

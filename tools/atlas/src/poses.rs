@@ -5,7 +5,7 @@ mod regimes;
 use std::path::Path;
 use std::time::Duration;
 
-use glam::{DVec2, DVec3};
+use glam::DVec3;
 use rigel::Result;
 use rigel::calibration::{
     BoardCorner, BoardView, LensCovariance, LensModel, RegisteredView, Registration, ViewCorners,
@@ -283,10 +283,7 @@ fn strew_before(lens: &Lens, boards: usize, seed: u64) -> Vec<Vec<BoardCorner>> 
         .filter_map(|(i, mut board)| {
             // As large in the picture, by standing further away.
             board.origin_m.z += (lens.fx / near.fx - 1.0) * 12.0;
-            let mut corners = board.detected(lens, BOARD_SIGMA_PX, 1000 * seed + i as u64)?;
-            let end = DVec2::new(f64::from(lens.width), f64::from(lens.height)) - 1.0;
-            corners.retain(|corner| corner.pixel.cmpge(DVec2::ZERO).all() && corner.pixel.cmple(end).all());
-            Some(corners)
+            board.detected(lens, BOARD_SIGMA_PX, 1000 * seed + i as u64)
         })
         .collect()
 }

@@ -8,7 +8,7 @@ use rigel::calibration::{BoardView, LensCalibration, calibrate_lens};
 use rigel::chart::{Arrow, field};
 use rigel::geometry::Lens;
 use rigel::report::Report;
-use rigel_simulated::board::{Board, strew};
+use rigel_simulated::board::{Board, cover, strew};
 
 use super::shift::{COLUMNS, ROWS, Shown, shown};
 use super::{SIGMA_PX, seen, truth};
@@ -19,14 +19,14 @@ use crate::table::Table;
 type Regime = (&'static str, fn(&Lens) -> Vec<BoardView>);
 
 const REGIMES: [Regime; 8] = [
-    ("14 boards, out to the corners of the picture", |lens| seen(&all_over(lens), lens, SIGMA_PX, 1)),
+    ("14 boards, out to the corners of the picture", |lens| seen(&cover(lens, 1), lens, SIGMA_PX, 1)),
     ("five boards", |lens| strewn(lens, 5)),
     ("three boards", |lens| strewn(lens, 3)),
     ("14 boards, only in the middle", |lens| seen(&placed(14, 24.0, 0.6, 0.45), lens, SIGMA_PX, 1)),
     ("14 boards, all parallel", |lens| seen(&placed(14, 11.0, 2.0, 0.0), lens, SIGMA_PX, 1)),
-    ("the same, corners good to half a pixel only", |lens| seen(&all_over(lens), lens, 0.5, 1)),
+    ("the same, corners good to half a pixel only", |lens| seen(&cover(lens, 1), lens, 0.5, 1)),
     ("14 photographs of a bent board", |lens| {
-        let boards = all_over(lens);
+        let boards = cover(lens, 1);
         let mut views = seen(&boards, lens, SIGMA_PX, 1);
         for (view, board) in views.iter_mut().zip(boards) {
             for corner in &mut view.corners {
@@ -42,7 +42,7 @@ const REGIMES: [Regime; 8] = [
     }),
     ("two of 14 boards photographed at another zoom", |lens| {
         let zoomed = Lens { fx: 1.08 * lens.fx, fy: 1.08 * lens.fy, ..*lens };
-        let boards = all_over(lens);
+        let boards = cover(lens, 1);
         let mut views = seen(&boards, lens, SIGMA_PX, 1);
         for bad in [4, 9] {
             views[bad].corners = seen(&boards[bad..=bad], &zoomed, SIGMA_PX, 7)[0].corners.clone();
@@ -56,18 +56,6 @@ pub(super) const STEPS: usize = REGIMES.len();
 
 fn strewn(lens: &Lens, count: usize) -> Vec<BoardView> {
     seen(&strew(lens, 9, 6, count, 1), lens, SIGMA_PX, 1)
-}
-
-/// Six boards strewn over the picture and two in each of its corners, partly outside.
-fn all_over(lens: &Lens) -> Vec<Board> {
-    let corners = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)];
-    let in_corner = |(x, y): (f64, f64)| {
-        [(10.0, 0.4), (12.0, -0.35)].map(|(distance, tilt): (f64, f64)| {
-            let centre = DVec3::new(2.6 * x, 2.2 * y, distance);
-            Board::at(9, 6, 1.0, DVec3::new(tilt * y, -tilt * x, 0.1 * x), centre)
-        })
-    };
-    strew(lens, 9, 6, 6, 1).into_iter().chain(corners.into_iter().flat_map(in_corner)).collect()
 }
 
 /// Boards at a distance, with their centres up to `aside` from the camera's axis and tilted by up to `tilt_rad` to all sides; lengths in

@@ -165,7 +165,7 @@ fn one(regime: &Regime) -> Result<(Vec<String>, Picture)> {
     for (flag, word) in [
         (RadianceImage::SATURATED, "saturated"),
         (RadianceImage::DARK, "too dark"),
-        (RadianceImage::GHOST, "moved"),
+        (RadianceImage::GHOST, "of something that moved"),
     ] {
         if share(flag) >= 5e-5 {
             said.push(format!("{:.2} % of the pixels are {word}", 100.0 * share(flag)));
