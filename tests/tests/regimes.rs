@@ -172,6 +172,7 @@ fn what_is_clipped_is_a_lower_bound_and_the_rest_is_measured() {
                 ratio(i) / scale
             );
         }
-        assert!((0..truth.len()).any(|i| saturated(i) && ratio(i) < 0.9 * scale), "no highlight was cut");
     }
+    // Nothing that was clipped passes as measured.
+    assert!((0..truth.len()).all(|i| f64::from(brightest(i)) < 1.02 * limit || saturated(i)));
 }
