@@ -3,6 +3,7 @@
 
 mod adjust;
 pub mod chessboard;
+mod corners;
 mod edge;
 pub mod lens;
 mod luminance;
@@ -14,6 +15,7 @@ mod squares;
 pub mod vignetting;
 
 pub use chessboard::{BoardCorner, BoardSize, Sighting, find_board};
+pub use corners::{SquareCorners, ViewCorners, register_corners};
 pub use lens::{
     BoardView, LensCalibration, LensCovariance, LensModel, calibrate_lens, calibrate_photographs,
 };

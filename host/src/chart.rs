@@ -93,7 +93,8 @@ pub fn scatter(points: &[ChartPoint], axes: (Axis, Axis)) -> Result<String> {
     })
 }
 
-/// Several series over the same axes: marks for what was measured, lines for what was fitted.
+/// Several series over the same axes: marks for what was measured, lines for what was fitted. Marks and a line of one name belong
+/// together: they share a colour and a place in the legend.
 ///
 /// # Errors
 /// [`Error::Request`] when there is no value, or one cannot be drawn: it is not finite, or not positive on a
@@ -102,12 +103,23 @@ pub fn lines(series: &[Series], axes: (Axis, Axis)) -> Result<String> {
     let owners: Vec<&str> = series.iter().flat_map(|s| s.points.iter().map(|_| s.name.as_str())).collect();
     let all: Vec<(f64, f64)> = series.iter().flat_map(|s| s.points.iter().copied()).collect();
     check(&all, axes, |i| owners[i].to_owned())?;
-    let mark = |i: usize| match series[i].drawn {
-        Drawn::Marks => Mark::Filled(i),
-        Drawn::Line => Mark::Line(i),
+    let mut names: Vec<&str> = vec![];
+    for series in series {
+        if !names.contains(&series.name.as_str()) {
+            names.push(&series.name);
+        }
+    }
+    let mark = |i: usize| {
+        let name = names.iter().position(|name| *name == series[i].name).unwrap_or_default();
+        match series[i].drawn {
+            Drawn::Marks => Mark::Filled(name),
+            Drawn::Line => Mark::Line(name),
+        }
     };
-    let legend: Vec<(&str, Mark)> =
-        series.iter().enumerate().map(|(i, s)| (s.name.as_str(), mark(i))).collect();
+    let drawn = |name: &str, drawn| series.iter().position(|s| s.name == name && s.drawn == drawn);
+    let shown =
+        |name: &str| drawn(name, Drawn::Marks).or_else(|| drawn(name, Drawn::Line)).map_or(Mark::Front, mark);
+    let legend: Vec<(&str, Mark)> = names.iter().map(|name| (*name, shown(name))).collect();
     chart(scales(&all, axes), axes, &legend, |canvas| {
         // Lines first: a mark must not hide behind the curve that was fitted to it.
         for (i, s) in series.iter().enumerate().filter(|(_, s)| s.drawn == Drawn::Line) {
@@ -212,6 +224,16 @@ mod tests {
         assert!(scatter(&[], (TIME, ERROR)).is_err());
         let series = Series { name: "red".into(), points: vec![(1.0, f64::NAN)], drawn: Drawn::Line };
         assert!(lines(&[series], (TIME, ERROR)).unwrap_err().to_string().contains("red"));
+    }
+
+    #[test]
+    fn marks_and_line_of_one_name_are_one_entry_and_one_colour() {
+        let series =
+            |name: &str, drawn| Series { name: name.into(), points: vec![(1.0, 2.0), (2.0, 3.0)], drawn };
+        let all = [series("a", Drawn::Marks), series("a", Drawn::Line), series("b", Drawn::Marks)];
+        let svg = lines(&all, (TIME, ERROR)).unwrap();
+        assert_eq!(svg.matches("#0072B2").count(), 4, "two marks, a line, a mark in the legend: {svg}");
+        assert!(!svg.contains("#009E73"), "a third colour");
     }
 
     #[test]

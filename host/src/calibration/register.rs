@@ -179,7 +179,7 @@ fn frame<'a>(
 }
 
 /// How sure a lens is that somebody gave without saying: about as one calibrated with a dozen boards.
-fn assumed(lens: &Lens) -> SMatrix<f64, LENS, LENS> {
+pub(super) fn assumed(lens: &Lens) -> SMatrix<f64, LENS, LENS> {
     let size = f64::from(lens.width.max(lens.height));
     let sigma = [0.003 * lens.fx, 0.003 * lens.fy, 0.008 * size, 0.008 * size, 0.03, 0.3, 1e-3, 1e-3, 0.0];
     SMatrix::from_diagonal(&nalgebra::SVector::from(sigma.map(|s| s * s)))
@@ -376,7 +376,11 @@ fn others(
 }
 
 /// Adjusts the views that are not dropped; drops those that the adjustment shows to be doubtful, and adjusts again.
-fn settle(frame: &Frame, data: &mut [ViewData], dropped: &mut [Option<String>]) -> Result<Adjusted> {
+pub(super) fn settle(
+    frame: &Frame,
+    data: &mut [ViewData],
+    dropped: &mut [Option<String>],
+) -> Result<Adjusted> {
     loop {
         let kept: Vec<usize> = (0..data.len()).filter(|&i| dropped[i].is_none()).collect();
         let views: Vec<ViewData> = kept.iter().map(|&i| data[i].clone()).collect();
@@ -404,7 +408,7 @@ fn settle(frame: &Frame, data: &mut [ViewData], dropped: &mut [Option<String>]) 
     }
 }
 
-fn report(
+pub(super) fn report(
     frame: &Frame,
     data: &[ViewData],
     adjusted: &Adjusted,

@@ -62,8 +62,9 @@ impl Squares {
         Ok(Self { size_m, ground_m, centres_m })
     }
 
-    /// The corners of a square, counter-clockwise from the one with the smallest coordinates, grown by `by_m` on each side.
-    pub(super) fn corners_m(&self, square: usize, by_m: f64) -> [DVec3; 4] {
+    /// The corners of a square (an index of the centres) in the surface's frame, metres: counter-clockwise from the one with the
+    /// smallest coordinates, grown by `by_m` on each side.
+    pub fn corners_m(&self, square: usize, by_m: f64) -> [DVec3; 4] {
         let half = self.size_m / 2.0 + by_m;
         [(-half, -half), (half, -half), (half, half), (-half, half)]
             .map(|(x, y)| self.centres_m[square] + DVec3::new(x, y, 0.0))

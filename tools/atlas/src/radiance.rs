@@ -1,5 +1,7 @@
 //! Radiance: error against time and number of exposures for every way of merging, and what happens where brackets are bad.
 
+mod regimes;
+
 use std::path::Path;
 use std::time::Duration;
 
@@ -8,11 +10,12 @@ use rigel::chart::{self, Axis, ChartPoint};
 use rigel::geometry::Lens;
 use rigel::picture::Picture;
 use rigel::progress::Progress;
-use rigel::radiance::{Learnt, RadianceImage, Samples, Stack, merge, others};
+use rigel::radiance::{RadianceImage, Samples, Stack, merge, others};
 use rigel::report::Report;
 use rigel_simulated::camera::{Options, SimulatedCamera};
 use rigel_simulated::scene::Scene;
 
+use crate::figures::{figure, marks_and_line, quantile, raw};
 use crate::machine::cpu_seconds;
 use crate::table::Table;
 
@@ -90,8 +93,8 @@ struct Error {
 /// # Errors
 /// What merging, drawing or writing reports.
 pub fn sweep(folder: &Path, report: &mut Report, progress: &dyn Progress) -> Result<()> {
-    let total = BRACKETS.len() + REGIMES.len();
-    let mut table = Table::new(&[
+    let total = BRACKETS.len() + regimes::STEPS;
+    let mut figures = Table::new(&[
         "method",
         "exposures",
         "stops",
@@ -104,17 +107,19 @@ pub fn sweep(folder: &Path, report: &mut Report, progress: &dyn Progress) -> Res
         "refused",
     ]);
     let mut points = vec![];
+    let mut by_exposures = vec![];
+    let mut of_methods = METHODS.map(|_| (vec![], vec![]));
     for (index, (count, stops)) in BRACKETS.into_iter().enumerate() {
         progress.step(index, total)?;
-        let brackets = shoot(count, stops, as_it_is)?;
-        for (name, method) in METHODS {
+        let brackets = shoot(LONGEST_S, count, stops, as_it_is)?;
+        for ((name, method), (medians, tails)) in METHODS.into_iter().zip(&mut of_methods) {
             let pixels = brackets.iter().map(|b| b.truth.len()).sum::<usize>() as f64;
             let (cpu_s, merged) = match method(&brackets) {
                 Ok(done) => done,
                 Err(refused) => {
                     let unknown = ["-"; 6].map(str::to_owned);
                     let start = [name.to_owned(), count.to_string(), stops.to_string()];
-                    table.row(start.into_iter().chain(unknown).chain([refused.to_string()]).collect());
+                    figures.row(start.into_iter().chain(unknown).chain([refused.to_string()]).collect());
                     continue;
                 }
             };
@@ -123,10 +128,10 @@ pub fn sweep(folder: &Path, report: &mut Report, progress: &dyn Progress) -> Res
                 let unknown = ["-"; 6].map(str::to_owned);
                 let start = [name.to_owned(), count.to_string(), stops.to_string()];
                 let why = "gives no number".to_owned();
-                table.row(start.into_iter().chain(unknown).chain([why]).collect());
+                figures.row(start.into_iter().chain(unknown).chain([why]).collect());
                 continue;
             }
-            table.row(vec![
+            figures.row(vec![
                 name.to_owned(),
                 count.to_string(),
                 stops.to_string(),
@@ -138,6 +143,10 @@ pub fn sweep(folder: &Path, report: &mut Report, progress: &dyn Progress) -> Res
                 format!("{:.2}", 100.0 * error.masked),
                 String::new(),
             ]);
+            if stops == 1.0 {
+                medians.push((f64::from(count), 100.0 * error.median));
+                tails.push((f64::from(count), 100.0 * error.p95));
+            }
             points.push(ChartPoint {
                 method: name.to_owned(),
                 x: cpu_s / pixels * 1e9,
@@ -146,48 +155,35 @@ pub fn sweep(folder: &Path, report: &mut Report, progress: &dyn Progress) -> Res
             });
         }
     }
-    report.heading("Radiance: time against error");
+    for ((name, _), (medians, tails)) in METHODS.into_iter().zip(of_methods) {
+        by_exposures.extend(marks_and_line(name, medians, tails));
+    }
+    report.heading("Radiance: time and exposures against error");
     let axes = (
         Axis { label: "CPU time to merge a megapixel, milliseconds", logarithmic: true },
         Axis { label: "median error of radiance, percent", logarithmic: true },
     );
-    let svg = chart::scatter(&points, axes)?;
-    rigel::file::write_bytes(&folder.join("radiance.svg"), svg.as_bytes())?;
-    report.chart(
-        svg,
+    figure(
+        folder,
+        report,
+        "radiance",
+        chart::scatter(&points, axes)?,
         "Beside each point: number of exposures x stops between them. Response recovered from the same photographs; \
          a simulated camera, three directions; one factor per channel removed.",
+    )?;
+    let exposures = (
+        Axis { label: "exposures, one stop apart", logarithmic: true },
+        Axis { label: "error of radiance, percent", logarithmic: true },
     );
-    let rows = table.rows().to_vec();
-    report.table("The same, raw in radiance.csv.", table.header(), rows);
-    table.write(&folder.join("radiance.csv"))?;
-
-    let mut table = Table::new(&[
-        "regime",
-        "median_error_percent",
-        "p95_error_percent",
-        "within_sigma_percent",
-        "masked_percent",
-        "what_is_said",
-    ]);
-    for (index, (name, count, stops, disturb)) in REGIMES.into_iter().enumerate() {
-        progress.step(BRACKETS.len() + index, total)?;
-        table.row(match regime(name, &shoot(count, stops, disturb)?) {
-            Ok(row) => row,
-            Err(refused) => {
-                let unknown = ["-"; 4].map(str::to_owned);
-                [name.to_owned()].into_iter().chain(unknown).chain([format!("refused: {refused}")]).collect()
-            }
-        });
-    }
-    report.heading("Radiance: where brackets are bad");
-    let rows = table.rows().to_vec();
-    report.table(
-        "What is left of accuracy, what is masked, and what the user is told.",
-        table.header(),
-        rows,
-    );
-    table.write(&folder.join("radiance_regimes.csv"))?;
+    figure(
+        folder,
+        report,
+        "radiance_exposures",
+        chart::lines(&by_exposures, exposures)?,
+        "Number of exposures against error: marks the median, lines the 95th percentile.",
+    )?;
+    raw(folder, report, "radiance", &figures)?;
+    regimes::sweep(folder, report, &|step| progress.step(BRACKETS.len() + step, total))?;
     progress.step(total, total)
 }
 
@@ -196,89 +192,24 @@ type Disturb = fn(&mut SimulatedCamera<At>, u32, f64) -> Vec<u8>;
 /// Where the simulated rig stands: pan and tilt, radians.
 type At = Box<dyn Fn() -> (f64, f64)>;
 
-/// Brackets in which something is wrong: name, exposures, stops between them, and what is wrong.
-const REGIMES: [(&str, u32, f64, Disturb); 7] = [
-    ("five exposures, all well", 5, 1.0, as_it_is),
-    ("two exposures one stop apart", 2, 1.0, as_it_is),
-    ("three exposures", 3, 1.0, as_it_is),
-    ("three exposures, three stops apart", 3, 3.0, as_it_is),
-    ("one wrong exposure time", 5, 1.0, |camera, index, time_s| {
-        camera.levels(if index == 2 { 1.3 * time_s } else { time_s })
-    }),
-    ("the lamp flickers by a tenth", 5, 1.0, |camera, index, time_s| {
-        camera.levels(time_s * [1.0, 1.1, 0.9, 1.05, 0.95][index as usize % 5])
-    }),
-    ("something moves through the picture", 5, 1.0, |camera, index, time_s| {
-        let mut levels = camera.levels(time_s);
-        let (width, at) = (camera.lens().width, 60 + 30 * index);
-        for (i, level) in levels.chunks_exact_mut(3).enumerate() {
-            let (x, y) = (i as u32 % width, i as u32 / width);
-            if (at..at + 24).contains(&x) && (90..130).contains(&y) {
-                level.fill(90);
-            }
-        }
-        levels
-    }),
-];
-
 fn as_it_is(camera: &mut SimulatedCamera<At>, _index: u32, time_s: f64) -> Vec<u8> {
     camera.levels(time_s)
 }
 
-/// A row of the table: the session as `rigel radiance` would take it, doubtful times replaced by the measured ones.
-fn regime(name: &str, brackets: &[Bracket]) -> Result<Vec<String>> {
-    let mut samples = Samples::default();
-    brackets.iter().try_for_each(|bracket| samples.add(&bracket.stack))?;
-    let Learnt { response, noise, doubtful } = samples.learn()?;
-    let mut said: Vec<String> = doubtful
-        .iter()
-        .map(|time| {
-            let path = time.path.display();
-            format!("{path}: {:.4} s stated; {:.4} s measured", time.stated_s, time.measured_s)
-        })
-        .collect();
-    let mut merged = vec![];
-    for bracket in brackets {
-        let mut stack = bracket.stack.clone();
-        for (picture, exposure_s) in stack.pictures.iter().zip(&mut stack.exposure_s) {
-            if let Some(time) = doubtful.iter().find(|time| time.path == picture.path) {
-                *exposure_s = time.measured_s;
-            }
-        }
-        merged.push(merge(&stack, &response, &noise)?);
-    }
-    let flagged =
-        |flag| merged.iter().flat_map(|image| &image.mask).filter(|&&mask| mask & flag != 0).count();
-    for (flag, word) in [
-        (RadianceImage::SATURATED, "saturated"),
-        (RadianceImage::DARK, "too dark"),
-        (RadianceImage::GHOST, "moved"),
-    ] {
-        if flagged(flag) > 0 {
-            said.push(format!("{} pixels {word}", flagged(flag)));
-        }
-    }
-    let error = error(brackets, &merged);
-    Ok(vec![
-        name.to_owned(),
-        format!("{:.3}", 100.0 * error.median),
-        format!("{:.3}", 100.0 * error.p95),
-        format!("{:.1}", 100.0 * error.within_sigma),
-        format!("{:.2}", 100.0 * error.masked),
-        said.join(" | "),
-    ])
+/// The simulated camera, and the board at a pan and tilt (radians).
+fn camera(at: (f64, f64)) -> SimulatedCamera<At> {
+    let lens = Lens { k1: -0.5, k2: 0.6, ..Lens::pinhole(320, 240, 700.0) };
+    SimulatedCamera::new(Scene::patchwork(), Options { lens, ..Options::default() }, Box::new(move || at))
 }
 
 /// Brackets of all poses.
-fn shoot(count: u32, stops: f64, disturb: Disturb) -> Result<Vec<Bracket>> {
-    let lens = Lens { k1: -0.5, k2: 0.6, ..Lens::pinhole(320, 240, 700.0) };
-    let options = Options { lens, ..Options::default() };
+fn shoot(longest_s: f64, count: u32, stops: f64, disturb: Disturb) -> Result<Vec<Bracket>> {
     POSES_DEG
         .iter()
         .map(|&(pan, tilt): &(f64, f64)| {
-            let at = (pan.to_radians(), tilt.to_radians());
-            let mut camera = SimulatedCamera::new(Scene::patchwork(), options, Box::new(move || at) as At);
-            let times: Vec<f64> = (0..count).map(|i| LONGEST_S * 2f64.powf(-stops * f64::from(i))).collect();
+            let mut camera = camera((pan.to_radians(), tilt.to_radians()));
+            let lens = *camera.lens();
+            let times: Vec<f64> = (0..count).map(|i| longest_s * 2f64.powf(-stops * f64::from(i))).collect();
             let pictures = times.iter().zip(0..).map(|(&time_s, index)| {
                 let levels = disturb(&mut camera, index, time_s);
                 Picture {
@@ -301,22 +232,35 @@ fn shoot(count: u32, stops: f64, disturb: Disturb) -> Result<Vec<Bracket>> {
         .collect()
 }
 
-/// Over all measured pixels of all brackets, one factor per channel removed: the unit of radiance is free.
+/// Measured values of a channel with their variance and truth, of all brackets.
+fn measured<'a>(
+    brackets: &'a [Bracket],
+    merged: &'a [RadianceImage],
+    channel: usize,
+) -> impl Iterator<Item = [f64; 3]> + 'a {
+    brackets.iter().zip(merged).flat_map(move |(bracket, image)| {
+        (0..image.mask.len()).filter(move |&i| image.mask[i] == 0 && bracket.truth[i][channel] > 0.0).map(
+            move |i| {
+                let [value, variance] = [image.radiance[i][channel], image.variance[i][channel]];
+                [value, variance, bracket.truth[i][channel]].map(f64::from)
+            },
+        )
+    })
+}
+
+/// The unit of radiance is free: one factor per channel, the median over all measured pixels.
+fn scales(brackets: &[Bracket], merged: &[RadianceImage]) -> [f64; 3] {
+    [0, 1, 2].map(|channel| {
+        let mut ratios: Vec<f64> = measured(brackets, merged, channel).map(|m| m[0] / m[2]).collect();
+        quantile(&mut ratios, 0.5)
+    })
+}
+
+/// Over all measured pixels of all brackets, the factors of [`scales`] removed.
 fn error(brackets: &[Bracket], merged: &[RadianceImage]) -> Error {
     let (mut errors, mut scores, mut masked, mut pixels) = (vec![], vec![], 0, 0);
-    for channel in 0..3 {
-        let measured = || {
-            brackets.iter().zip(merged).flat_map(move |(bracket, image)| {
-                (0..image.mask.len()).filter(move |&i| image.mask[i] == 0).map(move |i| {
-                    let [value, variance] = [image.radiance[i][channel], image.variance[i][channel]];
-                    [value, variance, bracket.truth[i][channel]].map(f64::from)
-                })
-            })
-        };
-        let mut ratios: Vec<f64> = measured().filter(|m| m[2] > 0.0).map(|m| m[0] / m[2]).collect();
-        ratios.sort_by(f64::total_cmp);
-        let Some(&scale) = ratios.get(ratios.len() / 2) else { continue };
-        for [value, variance, truth] in measured().filter(|m| m[2] > 0.0) {
+    for (channel, scale) in scales(brackets, merged).into_iter().enumerate() {
+        for [value, variance, truth] in measured(brackets, merged, channel) {
             let difference = (value - scale * truth).abs();
             errors.push(difference / (scale * truth));
             scores.push(difference <= variance.sqrt());
@@ -328,11 +272,9 @@ fn error(brackets: &[Bracket], merged: &[RadianceImage]) -> Error {
         masked += board().filter(|(mask, _)| **mask != 0).count();
         pixels += board().count();
     }
-    errors.sort_by(f64::total_cmp);
-    let quantile = |q: f64| errors.get((errors.len() as f64 * q) as usize).copied().unwrap_or(f64::NAN);
     Error {
-        median: quantile(0.5),
-        p95: quantile(0.95),
+        median: quantile(&mut errors, 0.5),
+        p95: quantile(&mut errors, 0.95),
         within_sigma: scores.iter().filter(|&&s| s).count() as f64 / scores.len().max(1) as f64,
         masked: masked as f64 / pixels.max(1) as f64,
     }

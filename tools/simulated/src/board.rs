@@ -4,6 +4,7 @@ use glam::{DMat3, DVec2, DVec3};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use rayon::prelude::*;
+use rigel::calibration::BoardCorner;
 use rigel::geometry::Lens;
 use rigel::picture::Picture;
 
@@ -68,6 +69,21 @@ impl Board {
             .flat_map(|row| (0..columns).map(move |column| (f64::from(column), f64::from(row))))
             .map(|(column, row)| self.pixel(lens, column, row))
             .collect()
+    }
+
+    /// The inner corners in the picture as a detector with noise of `sigma_px` finds them; `None` where one is not before the lens.
+    pub fn detected(&self, lens: &Lens, sigma_px: f64, seed: u64) -> Option<Vec<BoardCorner>> {
+        let mut random = StdRng::seed_from_u64(seed);
+        let end = DVec2::new(f64::from(lens.width), f64::from(lens.height)) - 1.0;
+        let corners = self.corners(lens)?.into_iter().enumerate().map(|(i, pixel)| BoardCorner {
+            column: i as u32 % self.columns,
+            row: i as u32 / self.columns,
+            pixel: pixel + sigma_px * DVec2::new(normal(&mut random), normal(&mut random)),
+            sigma_px,
+            blur_px: 0.6,
+        });
+        let inside = |at: DVec2| at.cmpge(DVec2::ZERO).all() && at.cmple(end).all();
+        Some(corners.filter(|corner| inside(corner.pixel)).collect())
     }
 
     /// Whether the whole board with half a square around it is in the picture.
@@ -159,6 +175,20 @@ pub fn strew(lens: &Lens, columns: u32, rows: u32, count: usize, seed: u64) -> V
         }
     }
     boards
+}
+
+/// Fourteen boards of 9 x 6 corners that tell a lens well: six strewn ones, and two in each corner of the picture, tilted to all sides and
+/// partly outside.
+pub fn cover(lens: &Lens, seed: u64) -> Vec<Board> {
+    let half = DVec2::new(f64::from(lens.width) / lens.fx, f64::from(lens.height) / lens.fy) / 2.0;
+    let corners = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)];
+    let in_corner = |(x, y): (f64, f64)| {
+        [(10.0, 0.4), (12.0, -0.35)].map(|(distance, tilt): (f64, f64)| {
+            let centre = (half * DVec2::new(4.4 * x, 5.0 * y)).extend(distance);
+            Board::at(9, 6, 1.0, DVec3::new(tilt * y, -tilt * x, 0.1 * x), centre)
+        })
+    };
+    strew(lens, 9, 6, 6, seed).into_iter().chain(corners.into_iter().flat_map(in_corner)).collect()
 }
 
 /// A Gaussian of standard deviation `sigma_px` over a picture, by rows and columns; the border is continued.

@@ -4,4 +4,5 @@ pub mod board;
 pub mod camera;
 pub mod rig;
 pub mod scene;
+pub mod squares;
 pub mod tracker;

@@ -12,8 +12,14 @@ pub fn chart(arguments: &Chart) -> Result<()> {
     let out = &arguments.out;
     std::fs::create_dir_all(out).map_err(Error::io("create", out))?;
     let mut report = Report::new("Rigel: speed, accuracy, and where it breaks");
+    report.text(
+        "Every figure was measured by `rigel chart` on simulated data whose truth is known. The charts are beside this page as SVG, the figures as CSV \
+         with the machine in front.",
+    );
     report.facts(rigel_atlas::facts());
     rigel_atlas::radiance(out, &mut report, &Bar::new("radiance"))?;
+    rigel_atlas::lens(out, &mut report, &Bar::new("lens"))?;
+    rigel_atlas::poses(out, &mut report, &Bar::new("poses"))?;
     let page = out.join("index.html");
     file::write_bytes(&page, report.to_html().as_bytes())?;
     say!("wrote {}: open {} in a browser", out.display(), page.display());
