@@ -4,9 +4,10 @@ use glam::DVec3;
 use nalgebra::DMatrix;
 
 use super::harmonics::{self, HarmonicsMethod};
+use super::log_quadratic;
 use super::model::{Model, SHININESS};
+use super::phong::{self, PhongOptions};
 use super::weights::Samples;
-use super::{log_quadratic, phong};
 use crate::observation::TexelObservations;
 use crate::{Error, Result};
 
@@ -133,15 +134,18 @@ impl Fitter {
 
     /// Fits one texel. Never fails: what is missing or doubtful is flagged.
     pub fn fit(&self, texel: &TexelObservations) -> TexelFit {
+        if let Model::Phong { lobes } = self.model {
+            return self.lobes(texel, usize::from(lobes));
+        }
         let mut samples = Samples::of(texel, self.options.relative_error, self.floor);
         let weights = samples.weights.clone();
-        let (mut parameters, mut flags) = self.solve(&samples, None);
+        let (mut parameters, mut flags) = self.solve(&samples);
         if self.options.robust && samples.len() > self.model.unknowns() {
             for _ in 0..3 {
                 if !self.reweight(&mut samples, &weights, &parameters) {
                     break;
                 }
-                (parameters, flags) = self.solve(&samples, Some(&parameters));
+                (parameters, flags) = self.solve(&samples);
             }
         }
         if !parameters.iter().all(|value| value.is_finite()) {
@@ -153,7 +157,38 @@ impl Fitter {
         TexelFit { parameters, residual, relative_residual, views: samples.len() as u32, flags }
     }
 
-    fn solve(&self, samples: &Samples, before: Option<&[f32]>) -> (Vec<f32>, FitFlags) {
+    fn lobes(&self, texel: &TexelObservations, lobes: usize) -> TexelFit {
+        let fit = phong::fit(
+            texel,
+            &PhongOptions {
+                lobes,
+                shininess_max: self.shininess_max,
+                relative_error: self.options.relative_error,
+                floor: self.floor,
+                robust: self.options.robust,
+            },
+        );
+        let mut flags = FitFlags::default();
+        for (is, flag) in [
+            (fit.views == 0, FitFlags::NO_VIEWS),
+            (fit.views < self.model.unknowns(), FitFlags::TOO_FEW_VIEWS),
+            (fit.at_bound, FitFlags::AT_BOUND),
+            (!fit.converged, FitFlags::NOT_CONVERGED),
+        ] {
+            if is {
+                flags.set(flag);
+            }
+        }
+        TexelFit {
+            parameters: fit.parameters,
+            residual: fit.residual as f32,
+            relative_residual: fit.relative_residual as f32,
+            views: fit.views as u32,
+            flags,
+        }
+    }
+
+    fn solve(&self, samples: &Samples) -> (Vec<f32>, FitFlags) {
         let mut flags = FitFlags::default();
         if samples.len() == 0 {
             flags.set(FitFlags::NO_VIEWS);
@@ -166,20 +201,7 @@ impl Fitter {
             return (constant(), flags);
         }
         let parameters = match self.model {
-            Model::Constant => Some(constant()),
-            Model::Phong { lobes } => {
-                let fit = match before {
-                    None => phong::fit(samples, usize::from(lobes), self.shininess_max),
-                    Some(before) => phong::refit(samples, before, self.shininess_max),
-                };
-                if fit.at_bound {
-                    flags.set(FitFlags::AT_BOUND);
-                }
-                if !fit.converged {
-                    flags.set(FitFlags::NOT_CONVERGED);
-                }
-                Some(fit.parameters)
-            }
+            Model::Constant | Model::Phong { .. } => Some(constant()),
             Model::LogQuadratic => {
                 log_quadratic::fit(samples).map(|found| found.iter().flatten().map(|v| *v as f32).collect())
             }

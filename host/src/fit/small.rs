@@ -1,8 +1,12 @@
 //! Small dense systems on the stack: a lobe's fit solves thousands of them a second.
 #![expect(clippy::needless_range_loop, reason = "indices name rows and columns of small matrices")]
 
-/// Solves the leading `n` × `n` block of a symmetric positive definite system by Cholesky; `None` where it is not.
-pub(super) fn solve<const N: usize>(matrix: &[[f64; N]; N], right: &[f64; N], n: usize) -> Option<[f64; N]> {
+/// What cancellation leaves of a dependent column is no pivot: sums over views run in single precision.
+const SMALLEST_PIVOT: f64 = 1e-7;
+
+/// The lower Cholesky factor of the leading `n` × `n` block of a symmetric positive definite matrix, of which the
+/// lower triangle is read; `None` where it is not.
+pub(super) fn cholesky<const N: usize>(matrix: &[[f64; N]; N], n: usize) -> Option<[[f64; N]; N]> {
     let mut lower = [[0.0; N]; N];
     for i in 0..n {
         for j in 0..=i {
@@ -11,8 +15,7 @@ pub(super) fn solve<const N: usize>(matrix: &[[f64; N]; N], right: &[f64; N], n:
                 sum -= lower[i][k] * lower[j][k];
             }
             if i == j {
-                // What cancellation leaves of a dependent column is no pivot.
-                if sum <= 1e-13 * matrix[i][i] || !sum.is_finite() {
+                if sum <= SMALLEST_PIVOT * matrix[i][i] || !sum.is_finite() {
                     return None;
                 }
                 lower[i][i] = sum.sqrt();
@@ -21,6 +24,11 @@ pub(super) fn solve<const N: usize>(matrix: &[[f64; N]; N], right: &[f64; N], n:
             }
         }
     }
+    Some(lower)
+}
+
+/// Solves a system by its Cholesky factor.
+pub(super) fn substitute<const N: usize>(lower: &[[f64; N]; N], right: &[f64; N], n: usize) -> [f64; N] {
     let mut solution = *right;
     for i in 0..n {
         for k in 0..i {
@@ -34,18 +42,27 @@ pub(super) fn solve<const N: usize>(matrix: &[[f64; N]; N], right: &[f64; N], n:
         }
         solution[i] /= lower[i][i];
     }
-    Some(solution)
+    solution
 }
 
-/// Non-negative least squares in the leading `n` ≤ 4 unknowns from normal equations: the values, the set of those not
-/// held at zero (bit per unknown) and by how much they lower the sum of squares.
-pub(super) fn nonnegative(gram: &[[f64; 4]; 4], right: &[f64; 4], n: usize) -> ([f64; 4], u8, f64) {
+/// Solves the leading `n` × `n` block of a symmetric positive definite system by Cholesky; `None` where it is not.
+pub(super) fn solve<const N: usize>(matrix: &[[f64; N]; N], right: &[f64; N], n: usize) -> Option<[f64; N]> {
+    cholesky(matrix, n).map(|lower| substitute(&lower, right, n))
+}
+
+/// Non-negative least squares in the leading `n` unknowns (few) from normal equations: the values, the set of those
+/// not held at zero (bit per unknown) and by how much they lower the sum of squares.
+pub(super) fn nonnegative<const N: usize>(
+    gram: &[[f64; N]; N],
+    right: &[f64; N],
+    n: usize,
+) -> ([f64; N], u8, f64) {
     let all = (1_u8 << n) - 1;
     if let Some(found) = on_set(gram, right, n, all) {
         return found;
     }
     // So few unknowns that trying every set is the simplest exact method.
-    let mut best = ([0.0; 4], 0, 0.0);
+    let mut best = ([0.0; N], 0, 0.0);
     for set in 1..all {
         if let Some(found) = on_set(gram, right, n, set)
             && found.2 > best.2
@@ -56,21 +73,19 @@ pub(super) fn nonnegative(gram: &[[f64; 4]; 4], right: &[f64; 4], n: usize) -> (
     best
 }
 
-fn on_set(gram: &[[f64; 4]; 4], right: &[f64; 4], n: usize, set: u8) -> Option<([f64; 4], u8, f64)> {
-    let (mut index, mut count) = ([0; 4], 0);
-    for i in (0..n).filter(|i| set & (1 << i) != 0) {
-        index[count] = i;
-        count += 1;
-    }
-    let (mut small, mut small_right) = ([[0.0; 4]; 4], [0.0; 4]);
+fn on_set<const N: usize>(
+    gram: &[[f64; N]; N],
+    right: &[f64; N],
+    n: usize,
+    set: u8,
+) -> Option<([f64; N], u8, f64)> {
+    let (small, index, count) = block(gram, n, set);
+    let mut small_right = [0.0; N];
     for a in 0..count {
         small_right[a] = right[index[a]];
-        for b in 0..count {
-            small[a][b] = gram[index[a]][index[b]];
-        }
     }
     let solution = solve(&small, &small_right, count)?;
-    let (mut values, mut gain) = ([0.0; 4], 0.0);
+    let (mut values, mut gain) = ([0.0; N], 0.0);
     for a in 0..count {
         if solution[a] < 0.0 {
             return None;
@@ -79,6 +94,26 @@ fn on_set(gram: &[[f64; 4]; 4], right: &[f64; 4], n: usize, set: u8) -> Option<(
         gain += solution[a] * small_right[a];
     }
     Some((values, set, gain))
+}
+
+/// The rows and columns of a set (bit per unknown) moved to the front, which they are, and how many.
+pub(super) fn block<const N: usize>(
+    matrix: &[[f64; N]; N],
+    n: usize,
+    set: u8,
+) -> ([[f64; N]; N], [usize; N], usize) {
+    let (mut index, mut count) = ([0; N], 0);
+    for i in (0..n).filter(|i| set & (1 << i) != 0) {
+        index[count] = i;
+        count += 1;
+    }
+    let mut small = [[0.0; N]; N];
+    for a in 0..count {
+        for b in 0..count {
+            small[a][b] = matrix[index[a]][index[b]];
+        }
+    }
+    (small, index, count)
 }
 
 #[cfg(test)]

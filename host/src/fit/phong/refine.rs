@@ -1,0 +1,281 @@
+//! The search: Levenberg-Marquardt in shininess and direction, radiance eliminated.
+#![expect(clippy::needless_range_loop, reason = "indices name rows and columns of small matrices")]
+
+use glam::DVec3;
+
+use super::super::model::SHININESS;
+use super::super::small::{block, cholesky, nonnegative, solve};
+use super::lanes::{self, LaneLobe};
+use super::views::Views;
+use super::{Lobe, MOST_LOBES};
+
+/// Constant and lobes; what is searched for; both and the residuals of the channels.
+pub(super) const TERMS: usize = 1 + MOST_LOBES;
+pub(super) const SEARCHED: usize = 3 * MOST_LOBES;
+
+/// Values below exp(-CUT) are zero: nothing to see.
+const CUT: f64 = 18.0;
+const MOST_STEPS: usize = 60;
+/// Blocks of views whose columns fit into the first cache.
+const CHUNK: usize = 40;
+/// Single precision hides what is smaller, as a part of the energy.
+pub(super) const ROUNDING: f64 = 1e-13;
+
+/// Inner products at one place of the search, and the radiance that is best there.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Place<const L: usize, const R: usize> {
+    pub lobes: [Lobe; L],
+    /// The two turns of each lobe.
+    pub turns: [[DVec3; 2]; L],
+    /// Columns: 1, the lobes' values, the lobes' derivatives (log shininess, two turns).
+    pub gram: [[f64; R]; R],
+    /// Columns against the residual of each channel.
+    pub right: [[f64; 3]; R],
+    /// Radiance of the constant and of each lobe, by channel.
+    pub linear: [[f64; TERMS]; 3],
+    /// Bit for each term that is not held at zero.
+    pub active: [u8; 3],
+    /// Weighted sum of squared residuals.
+    pub squares: f64,
+}
+
+/// A turn within the horizontal plane and one towards the zenith: the horizon is then a bound of the second alone.
+fn turns(direction: DVec3) -> [DVec3; 2] {
+    let level = DVec3::new(-direction.y, direction.x, 0.0).try_normalize().unwrap_or(DVec3::X);
+    [level, direction.cross(level)]
+}
+
+pub(super) fn lane_lobe(lobe: &Lobe, turns: &[DVec3; 2]) -> LaneLobe {
+    LaneLobe {
+        direction: lobe.direction.as_vec3().to_array(),
+        turns: turns.map(|turn| turn.as_vec3().to_array()),
+        shininess: lobe.shininess as f32,
+        cosine_cut: (-CUT / lobe.shininess).exp() as f32,
+    }
+}
+
+impl<const L: usize, const R: usize> Place<L, R> {
+    /// Looks at the views from `lobes`, with `linear` as a first guess of the radiance.
+    pub fn new(views: &mut Views, lobes: [Lobe; L], linear: &[[f64; TERMS]; 3]) -> Self {
+        let turns = lobes.map(|lobe| turns(lobe.direction));
+        let guess = linear.map(|values| values.map(|value| value as f32));
+        let mut gram = [[0.0; R]; R];
+        let Views { blocks, rows, .. } = views;
+        rows.resize(R * CHUNK, [0.0; lanes::WIDTH]);
+        let (rows, _) = rows.as_chunks_mut::<R>();
+        for blocks in blocks.chunks(CHUNK) {
+            let rows = &mut rows[..blocks.len()];
+            for l in 0..L {
+                lanes::columns(blocks, &lane_lobe(&lobes[l], &turns[l]), rows, 1 + l, 1 + L + 3 * l);
+            }
+            lanes::residuals(blocks, rows, &guess, 1 + L);
+            lanes::products(rows, &mut gram);
+        }
+        for i in 0..R {
+            for j in 0..i {
+                gram[i][j] = gram[j][i];
+            }
+        }
+        let mut place = Self {
+            lobes,
+            turns,
+            gram,
+            right: gram.map(|row| [row[R - 3], row[R - 2], row[R - 1]]),
+            // What was in single precision is what the residuals are of.
+            linear: guess.map(|values| values.map(f64::from)),
+            active: [0; 3],
+            squares: gram[R - 3][R - 3] + gram[R - 2][R - 2] + gram[R - 1][R - 1],
+        };
+        place.settle();
+        place
+    }
+
+    /// Moves the radiance to where it is best.
+    fn settle(&mut self) {
+        let mut terms = [[0.0; TERMS]; TERMS];
+        for i in 0..=L {
+            terms[i][..=L].copy_from_slice(&self.gram[i][..=L]);
+        }
+        for c in 0..3 {
+            let mut right = [0.0; TERMS];
+            for i in 0..=L {
+                right[i] = self.right[i][c];
+                for j in 0..=L {
+                    right[i] += terms[i][j] * self.linear[c][j];
+                }
+            }
+            let (values, active, _) = nonnegative(&terms, &right, 1 + L);
+            let mut change = [0.0; TERMS];
+            for i in 0..=L {
+                change[i] = values[i] - self.linear[c][i];
+            }
+            for i in 0..=L {
+                self.squares -= change[i] * self.right[i][c];
+            }
+            for i in 0..1 + 4 * L {
+                for j in 0..=L {
+                    self.right[i][c] -= self.gram[i][j] * change[j];
+                }
+            }
+            // Before and after together: change · (right before + right after).
+            for i in 0..=L {
+                self.squares -= change[i] * self.right[i][c];
+            }
+            (self.linear[c], self.active[c]) = (values, active);
+        }
+        self.squares = self.squares.max(0.0);
+    }
+
+    /// Gauss-Newton matrix and negative gradient in shininess and turns alone: what the radiance can absorb is taken
+    /// away (Kaufman 1975).
+    pub fn reduced(&self) -> ([[f64; SEARCHED]; SEARCHED], [f64; SEARCHED]) {
+        let (mut hessian, mut gradient) = ([[0.0; SEARCHED]; SEARCHED], [0.0; SEARCHED]);
+        let mut left = [[0.0; SEARCHED]; SEARCHED];
+        for c in 0..3 {
+            if c == 0 || self.active[c] != self.active[c - 1] {
+                left = self.unabsorbed(self.active[c]);
+            }
+            for j in 0..3 * L {
+                let scale = self.linear[c][1 + j / 3];
+                gradient[j] += scale * self.right[1 + L + j][c];
+                for k in 0..=j {
+                    hessian[j][k] += scale * self.linear[c][1 + k / 3] * left[j][k];
+                }
+            }
+        }
+        (hessian, gradient)
+    }
+
+    /// Products (lower triangle) of the parts of the derivatives that the active terms cannot absorb.
+    fn unabsorbed(&self, active: u8) -> [[f64; SEARCHED]; SEARCHED] {
+        let (small, index, count) = block(&self.gram, 1 + L, active);
+        let mut left = [[0.0; SEARCHED]; SEARCHED];
+        let lower = cholesky(&small, count);
+        // Forward substitution alone: G - Zᵀ Z with L Z = the cross products.
+        let mut half = [[0.0; TERMS]; SEARCHED];
+        if let Some(lower) = &lower {
+            for j in 0..3 * L {
+                for a in 0..count {
+                    let mut sum = self.gram[index[a]][1 + L + j];
+                    for b in 0..a {
+                        sum -= lower[a][b] * half[j][b];
+                    }
+                    half[j][a] = sum / lower[a][a];
+                }
+            }
+        }
+        for j in 0..3 * L {
+            for k in 0..=j {
+                let mut sum = self.gram[1 + L + j][1 + L + k];
+                for a in 0..count {
+                    sum -= half[j][a] * half[k][a];
+                }
+                left[j][k] = sum;
+            }
+        }
+        left
+    }
+
+    /// The lobes after a step, within their bounds.
+    fn moved(&self, step: &[f64; SEARCHED], shininess_max: f64) -> [Lobe; L] {
+        std::array::from_fn(|l| {
+            let step = &step[3 * l..3 * l + 3];
+            // Far steps leave the region where the derivative means anything.
+            let limit = 0.5 / (step[1].hypot(step[2])).max(0.5);
+            let turned =
+                self.lobes[l].direction + (self.turns[l][0] * step[1] + self.turns[l][1] * step[2]) * limit;
+            // A flat surface reflects light from above to above.
+            let direction = turned.with_z(turned.z.max(0.0)).normalize_or(DVec3::Z);
+            let shininess = (self.lobes[l].shininess * step[0].clamp(-1.0, 1.0).exp())
+                .clamp(*SHININESS.start(), shininess_max);
+            Lobe { direction, shininess }
+        })
+    }
+
+    /// Takes away from matrix and gradient what would leave the bounds.
+    fn hold(
+        &self,
+        hessian: &mut [[f64; SEARCHED]; SEARCHED],
+        gradient: &mut [f64; SEARCHED],
+        shininess_max: f64,
+    ) {
+        for l in 0..L {
+            let Lobe { direction, shininess } = self.lobes[l];
+            let (shine, up) = (gradient[3 * l], gradient[3 * l + 2]);
+            let held = [
+                (shininess >= shininess_max && shine > 0.0)
+                    || (shininess <= *SHININESS.start() && shine < 0.0),
+                false,
+                direction.z <= 0.0 && up < 0.0,
+            ];
+            for i in (0..3).filter(|i| held[*i]).map(|i| 3 * l + i) {
+                for k in 0..3 * L {
+                    hessian[i][k] = 0.0;
+                    hessian[k][i] = 0.0;
+                }
+                (hessian[i][i], gradient[i]) = (1.0, 0.0);
+            }
+        }
+    }
+}
+
+/// Refines lobes together until nothing more is to be gained; whether that was reached.
+pub(super) fn refine<const L: usize, const R: usize>(
+    views: &mut Views,
+    start: [Lobe; L],
+    linear: &[[f64; TERMS]; 3],
+    shininess_max: f64,
+) -> (Place<L, R>, bool) {
+    let mut place = Place::<L, R>::new(views, start, linear);
+    let rounding = ROUNDING * views.energy;
+    // A gain of this part of the residual moves no parameter by more than a third of its own uncertainty, and that
+    // last step is still taken.
+    let small = 0.1 / (3.0 * views.count as f64);
+    let mut damping = 1e-4;
+    let mut known = None;
+    for _ in 0..MOST_STEPS {
+        if place.squares <= rounding {
+            return (place, true);
+        }
+        let (hessian, gradient) = *known.get_or_insert_with(|| {
+            let (mut hessian, mut gradient) = place.reduced();
+            place.hold(&mut hessian, &mut gradient, shininess_max);
+            (hessian, gradient)
+        });
+        let mut damped = hessian;
+        for (i, row) in damped.iter_mut().enumerate().take(3 * L) {
+            row[i] += damping * row[i] + 1e-12 * views.energy;
+        }
+        let Some(step) = solve(&damped, &gradient, 3 * L) else {
+            damping *= 10.0;
+            continue;
+        };
+        let promised: f64 = step.iter().zip(&gradient).take(3 * L).map(|(s, g)| s * g).sum();
+        let trial = Place::<L, R>::new(views, place.moved(&step, shininess_max), &place.linear);
+        let better = trial.squares < place.squares;
+        if better {
+            place = trial;
+            known = None;
+            damping = (damping * 0.1).max(1e-9);
+        } else {
+            damping *= 10.0;
+        }
+        if promised <= small * place.squares || damping > 1e6 {
+            return (place, true);
+        }
+    }
+    (place, false)
+}
+
+/// The residuals of lobes whose radiance is settled stay in the last three of the rows, after root weight and values.
+pub(super) fn leave<const R: usize>(views: &mut Views, lobes: &[Lobe], linear: &[[f64; TERMS]; 3]) {
+    let Views { blocks, rows, .. } = views;
+    rows.resize(R * blocks.len().max(CHUNK), [0.0; lanes::WIDTH]);
+    let (rows, _) = rows.as_chunks_mut::<R>();
+    let rows = &mut rows[..blocks.len()];
+    for (l, lobe) in lobes.iter().enumerate() {
+        lanes::values(blocks, &lane_lobe(lobe, &turns(lobe.direction)), rows, 1 + l);
+    }
+    let guess = linear.map(|values| values.map(|value| value as f32));
+    lanes::residuals(blocks, rows, &guess, 1 + lobes.len());
+}
