@@ -155,8 +155,7 @@ fn judged(name: &str, found: &LensCalibration, places: &[Shown]) -> (Vec<String>
     let arrows: Vec<Arrow> = seen.chain(lines).collect();
     let cells = (COLUMNS, ROWS);
     let sigmas = found.projection_sigmas_px(COLUMNS, ROWS);
-    let times =
-        if magnified == 1.0 { String::new() } else { format!(", {magnified} times as long as it is") };
+    let times = if magnified == 1.0 { String::new() } else { format!(", {magnified} times as long") };
     let caption =
         format!("orange: corners of boards; lines: actual error{times}; shades: stated standard deviation");
     (row, field((lens.width, lens.height), &arrows, magnified, (&sigmas, cells), &caption))
