@@ -1,6 +1,11 @@
 //! Where the error of the patchwork's appearance comes from: the truth put in place of what was found, one at a time.
 //!
-//! `RIGEL_DATA=... cargo run --release -p rigel-tests --example registration_share`
+//! `RIGEL_DATA=... cargo run -p rigel-tests --example registration_share` (the test profile is optimised; some minutes)
+//!
+//! One lobe per texel on 384 x 288 texels. With poses, lens and response from the photographs: 5.278 of 255, 29.75 dB; with the true
+//! poses and lens in their place 5.270 and 29.78 dB. So registration (directions within 0.0072 degrees in the median, 0.0198 at the 95th
+//! percentile, 0.0488 at most) makes a sixth of a percent of the error; the other two rows tell radiance's share, and what both truths
+//! leave is the model's.
 
 #![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
 
