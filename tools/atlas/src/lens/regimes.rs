@@ -24,7 +24,7 @@ const REGIMES: [Regime; 8] = [
     ("three boards", |lens| strewn(lens, 3)),
     ("14 boards, only in the middle", |lens| seen(&placed(14, 24.0, 0.6, 0.45), lens, SIGMA_PX, 1)),
     ("14 boards, all parallel", |lens| seen(&placed(14, 11.0, 2.0, 0.0), lens, SIGMA_PX, 1)),
-    ("the same, corners good to half a pixel only", |lens| seen(&cover(lens, 1), lens, 0.5, 1)),
+    ("14 boards out to the corners, found to half a pixel only", |lens| seen(&cover(lens, 1), lens, 0.5, 1)),
     ("14 photographs of a bent board", |lens| {
         let boards = cover(lens, 1);
         let mut views = seen(&boards, lens, SIGMA_PX, 1);
