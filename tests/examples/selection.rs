@@ -9,9 +9,8 @@
 
 use std::collections::BTreeMap;
 
-use glam::Vec3;
+use rand::SeedableRng;
 use rand::rngs::StdRng;
-use rand::{Rng, SeedableRng};
 use rayon::prelude::*;
 use rigel::Result;
 use rigel::fit::{
@@ -19,9 +18,11 @@ use rigel::fit::{
 };
 use rigel::geometry::Texels;
 use rigel::observation::TexelObservations;
+use rigel_atlas::texels::{Doubt, Truth, area_lamps, directions, lobes, noisy, observe, smooth};
 
-const RELATIVE: f32 = 0.01;
-const ABSOLUTE: f32 = 0.002;
+const DOUBT: Doubt = Doubt::USUAL;
+/// No view is taken from further down.
+const ZENITH_RAD: f32 = 1.309;
 
 fn main() -> Result<()> {
     let mut arguments = std::env::args().skip(1).filter_map(|text| text.parse().ok());
@@ -38,16 +39,21 @@ fn main() -> Result<()> {
     ];
     println!("{count} texels of each kind, {views} views to zenith 75 degrees");
     println!("{:<12} {:>10} {:>10}  chosen", "", "right %", "same %");
-    let options =
-        FitOptions { relative_error: RELATIVE.into(), floor: Some(ABSOLUTE.into()), ..FitOptions::default() };
+    let options = FitOptions {
+        relative_error: DOUBT.relative.into(),
+        floor: Some(DOUBT.absolute.into()),
+        ..FitOptions::default()
+    };
     let texels = Texels { columns: 16, rows: (count as u32).div_ceil(16) };
+    let toward = directions(views, ZENITH_RAD, 0.0);
     let mut all = vec![];
     for (name, kind) in kinds {
         // A patch of one material: its radiance varies from texel to texel, its kind does not.
         let truths: Vec<Truth> =
             (0..texels.count()).map(|i| kind(&mut StdRng::seed_from_u64(1000 + i as u64))).collect();
         let one = |noise: u64| -> Vec<TexelObservations> {
-            let texel = |(i, truth): (usize, &Truth)| observe(truth, views, noise * 1_000_003 + i as u64);
+            let texel =
+                |(i, truth): (usize, &Truth)| observe(truth, &toward, &DOUBT, noise * 1_000_003 + i as u64);
             truths.iter().enumerate().map(texel).collect()
         };
         let (first, second) = (one(1), one(2));
@@ -96,9 +102,9 @@ fn coverage(
         let (fitter, sigma) = (&fitters[choice], Evidence::of(fitters, texel).sigma[choice]);
         let fit = fitter.fit(texel);
         let mut random = StdRng::seed_from_u64(3_000_000 + i as u64);
-        for direction in directions(300, 1.3) {
+        for direction in directions(300, ZENITH_RAD, 1.3) {
             let band = zenith_band(direction.z);
-            let (measured, _) = noisy(truth, direction, &mut random);
+            let (measured, _) = noisy(truth, direction, &DOUBT, &mut random);
             let predicted = fitter.model().radiance(&fit.parameters, direction);
             for (predicted, measured) in predicted.into_iter().zip(measured) {
                 let within = sigma * factors[choice][band] * (predicted + fitter.floor() as f32);
@@ -113,124 +119,15 @@ fn coverage(
     println!("{:<12} within one sigma, by zenith in steps of 15 degrees: {} %", name, shares.join(" "));
 }
 
-/// A texel's true radiance: a diffuse colour, lobes, and smooth terms.
-struct Truth {
-    diffuse: Vec3,
-    /// Colour, direction, shininess.
-    lobes: Vec<(Vec3, Vec3, f32)>,
-    /// Colour of each of the nine lowest polynomials of the direction.
-    smooth: [Vec3; 9],
-}
-
-impl Truth {
-    fn radiance(&self, d: Vec3) -> Vec3 {
-        let lobes = self
-            .lobes
-            .iter()
-            .map(|(colour, axis, shininess)| *colour * axis.dot(d).max(0.0).powf(*shininess));
-        let terms = [
-            d.x,
-            d.y,
-            d.z,
-            d.x * d.y,
-            d.y * d.z,
-            d.x * d.z,
-            d.x * d.x - d.y * d.y,
-            d.z * d.z,
-            d.z * d.z * d.x,
-        ];
-        let smooth = self.smooth.iter().zip(terms).map(|(colour, term)| *colour * term);
-        self.diffuse + lobes.sum::<Vec3>() + smooth.sum::<Vec3>()
-    }
-}
-
-fn colour(random: &mut StdRng, low: f32, high: f32) -> Vec3 {
-    Vec3::from_array(std::array::from_fn(|_| random.random_range(low..high)))
-}
-
-fn direction(random: &mut StdRng, least_z: f32) -> Vec3 {
-    let (z, azimuth) = (random.random_range(least_z..1.0), random.random_range(0.0..std::f32::consts::TAU));
-    let across = (1.0 - z * z as f32).sqrt();
-    Vec3::new(across * azimuth.cos(), across * azimuth.sin(), z)
-}
-
-fn lobes(random: &mut StdRng, count: usize) -> Truth {
-    let mut axes: Vec<Vec3> = vec![];
-    while axes.len() < count {
-        let axis = direction(random, 0.5);
-        if axes.iter().all(|other| other.angle_between(axis) > 25f32.to_radians()) {
-            axes.push(axis);
-        }
-    }
-    let lobe = |axis| (colour(random, 0.1, 0.9), axis, random.random_range(5f32.ln()..100f32.ln()).exp());
-    let lobes = axes.into_iter().map(lobe).collect();
-    Truth { diffuse: colour(random, 0.05, 0.6), lobes, smooth: [Vec3::ZERO; 9] }
-}
-
-/// A lamp of 10 to 20 degrees radius seen in a glossy surface.
-fn area_lamps(random: &mut StdRng) -> Truth {
-    let axis = direction(random, 0.6);
-    let (a, b) = axis.any_orthonormal_pair();
-    let (radius, shine) = (random.random_range(0.17..0.35f32), random.random_range(40.0..150.0));
-    let light = colour(random, 0.2, 0.9);
-    let points = (0..60).map(|i| {
-        let (r, turn) = (radius * ((i as f32 + 0.5) / 60.0).sqrt(), 2.399_963 * i as f32);
-        (light / 20.0, (axis + (a * turn.cos() + b * turn.sin()) * r.tan()).normalize(), shine)
-    });
-    Truth { lobes: points.collect(), diffuse: colour(random, 0.05, 0.6), smooth: [Vec3::ZERO; 9] }
-}
-
-fn smooth(random: &mut StdRng) -> Truth {
-    let smooth = std::array::from_fn(|_| colour(random, -0.06, 0.06));
-    Truth { diffuse: colour(random, 0.6, 0.9), lobes: vec![], smooth }
-}
-
-/// Directions spread evenly to zenith 75 degrees, turned by `offset`.
-fn directions(count: usize, offset: f32) -> impl Iterator<Item = Vec3> {
-    let least = 75f32.to_radians().cos();
-    (0..count).map(move |i| {
-        let z = 1.0 - (1.0 - least) * (i as f32 + 0.5) / count as f32;
-        let (azimuth, across) = (2.399_963 * i as f32 + offset, (1.0 - z * z).sqrt());
-        Vec3::new(across * azimuth.cos(), across * azimuth.sin(), z)
-    })
-}
-
-fn normal(random: &mut StdRng) -> f32 {
-    let (a, b): (f32, f32) = (random.random(), random.random());
-    (-2.0 * (1.0 - a).ln()).sqrt() * (std::f32::consts::TAU * b).cos()
-}
-
-fn noisy(truth: &Truth, direction: Vec3, random: &mut StdRng) -> ([f32; 3], f32) {
-    let exact = truth.radiance(direction).to_array();
-    let sigma = |l: f32| (RELATIVE * l).hypot(ABSOLUTE);
-    (exact.map(|l| l + sigma(l) * normal(random)), sigma(exact[1]))
-}
-
-fn observe(truth: &Truth, views: usize, seed: u64) -> TexelObservations {
-    let mut random = StdRng::seed_from_u64(seed);
-    let mut observed = TexelObservations::default();
-    // The order of views is that of no spiral: every fifth is left out at a time.
-    let mut order: Vec<(usize, Vec3)> = directions(views, 0.0).enumerate().collect();
-    order.sort_by_key(|(i, _)| (i * 7919) % 10_007);
-    for (view, (_, direction)) in order.into_iter().enumerate() {
-        let (radiance, sigma) = noisy(truth, direction, &mut random);
-        observed.view.push(view as u32);
-        observed.direction.push(direction);
-        observed.radiance.push(radiance);
-        observed.sigma.push(sigma);
-    }
-    observed
-}
-
 /// The mean relative error of a fit in fresh directions, noise of the measurement included.
 fn fresh_error(truth: &Truth, fitter: &Fitter, texel: &TexelObservations) -> f32 {
     let fit = fitter.fit(texel);
     let mut random = StdRng::seed_from_u64(5);
     let floor = fitter.floor() as f32;
-    let error = |direction: Vec3| -> f32 {
-        let (measured, _) = noisy(truth, direction, &mut random);
+    let error = |direction| -> f32 {
+        let (measured, _) = noisy(truth, direction, &DOUBT, &mut random);
         let predicted = fitter.model().radiance(&fit.parameters, direction);
         (0..3).map(|c| (predicted[c] - measured[c]).abs() / (measured[c].max(0.0) + floor)).sum::<f32>() / 3.0
     };
-    directions(300, 1.3).map(error).sum::<f32>() / 300.0
+    directions(300, ZENITH_RAD, 1.3).into_iter().map(error).sum::<f32>() / 300.0
 }

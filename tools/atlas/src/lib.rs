@@ -1,16 +1,18 @@
 //! Speed against accuracy, and where each method breaks: every sweep makes charts, and a CSV of raw figures with the
 //! machine on which they were measured.
 //!
-//! One room for each part of the road: [`radiance`], [`lens`], [`poses`]. Each has a `sweep` of what can be chosen, and `regimes`
+//! One room for each part of the road: [`radiance`], [`lens`], [`poses`], [`fit`]. Each has a `sweep` of what can be chosen, and `regimes`
 //! in which something is wrong.
 
 mod figures;
+mod fit;
 mod lens;
 mod machine;
 mod poses;
 mod radiance;
 mod table;
 
+pub use fit::{sweep as fit, texels};
 pub use lens::sweep as lens;
 pub use machine::{cpu_seconds, cpu_time, facts};
 pub use poses::sweep as poses;
