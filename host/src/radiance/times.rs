@@ -100,9 +100,18 @@ impl Samples {
     /// # Errors
     /// Those of [`Samples::response`].
     pub fn learn(&self) -> Result<Learnt> {
+        self.learn_unless(&|| Ok(()))
+    }
+
+    /// The same, asking between its rounds whether to go on.
+    ///
+    /// # Errors
+    /// Those of [`Samples::response`] and of `interrupted`.
+    pub(crate) fn learn_unless(&self, interrupted: &dyn Fn() -> Result<()>) -> Result<Learnt> {
         let mut samples = self.clone();
         let mut replaced = BTreeSet::new();
         for round in 0.. {
+            interrupted()?;
             let response = samples.response()?;
             let noise = samples.noise(&response);
             let times: Vec<Vec<MeasuredTime>> =
@@ -115,8 +124,7 @@ impl Samples {
             replaced.extend(doubtful.iter().filter(|at| off(at) > 0.5 * worst));
             let settled = replaced.iter().all(|at| off(at) < SETTLED);
             if settled || round == ROUNDS {
-                let doubtful = self.compare(&samples, &response, &noise);
-                return Ok(Learnt { response, noise, doubtful });
+                return self.compare(samples, Learnt { response, noise, doubtful: vec![] });
             }
             for &(i, j) in &replaced {
                 samples.stacks[i].exposure_s[j] = times[i][j].measured_s;
@@ -125,20 +133,31 @@ impl Samples {
         unreachable!("the loop returns after ROUNDS")
     }
 
-    /// The photographs whose times were replaced.
-    fn compare(&self, replaced: &Self, response: &Response, noise: &NoiseModel) -> Vec<MeasuredTime> {
-        let mut doubtful = Vec::new();
-        for (stack, (stated, used)) in self.stacks.iter().zip(&replaced.stacks).enumerate() {
-            if stated.exposure_s != used.exposure_s {
-                let times = replaced.times_of(stack, response, noise);
-                let with_stated = times
-                    .into_iter()
-                    .zip(&stated.exposure_s)
-                    .map(|(time, &stated_s)| MeasuredTime { stated_s, ..time });
-                doubtful.extend(with_stated.filter(MeasuredTime::is_doubtful));
+    /// The photographs whose times were replaced, and still are in doubt. Any other has its stated time back: nothing is replaced
+    /// that is not told.
+    fn compare(&self, mut replaced: Self, mut learnt: Learnt) -> Result<Learnt> {
+        let mut is_back = false;
+        for (stack, stated) in self.stacks.iter().enumerate() {
+            if stated.exposure_s == replaced.stacks[stack].exposure_s {
+                continue;
+            }
+            let times = replaced.times_of(stack, &learnt.response, &learnt.noise);
+            for (j, (time, &stated_s)) in times.into_iter().zip(&stated.exposure_s).enumerate() {
+                let time = MeasuredTime { stated_s, ..time };
+                let used_s = &mut replaced.stacks[stack].exposure_s[j];
+                if *used_s != stated_s && !time.is_doubtful() {
+                    *used_s = stated_s;
+                    is_back = true;
+                } else if *used_s != stated_s {
+                    learnt.doubtful.push(time);
+                }
             }
         }
-        doubtful
+        if is_back {
+            learnt.response = replaced.response()?;
+            learnt.noise = replaced.noise(&learnt.response);
+        }
+        Ok(learnt)
     }
 
     /// ln(true time / stated time) of each photograph of a stack by least squares over its blocks, the radiances eliminated;
@@ -350,6 +369,30 @@ mod tests {
             assert!((time.measured_s / time.stated_s / factor).ln().abs() < 0.02, "{time:?}");
             let message = time.error().to_string();
             assert!(message.contains(&name) && message.contains("--exposure-times measured"), "{message}");
+        }
+    }
+
+    #[test]
+    fn no_time_is_replaced_that_is_not_told() {
+        let times = stops(5, 1);
+        for factor in [1.028, 1.036] {
+            let stacks = stacks(CURVES[0].1, &times, &[1.0, 1.0, factor, 1.0, 1.0], 2);
+            let learnt = learn(&stacks);
+            let mut samples = Samples::default();
+            for mut stack in stacks {
+                for (picture, time_s) in stack.pictures.iter().zip(&mut stack.exposure_s) {
+                    let told = learnt.doubtful.iter().find(|time| time.path == picture.path);
+                    *time_s = told.map_or(*time_s, |time| time.measured_s);
+                }
+                samples.add(&stack).unwrap();
+            }
+            let expected = samples.response().unwrap();
+            let most = (0..3)
+                .flat_map(|c| learnt.response.exposure(c)[20..].iter().zip(&expected.exposure(c)[20..]))
+                .map(|(a, b)| (a / b).ln().abs())
+                .fold(0.0, f32::max);
+            println!("{factor}: {} told, response differs by {most}", learnt.doubtful.len());
+            assert!(most < 2e-3, "{factor}: {most}, {:?}", learnt.doubtful);
         }
     }
 
