@@ -84,6 +84,9 @@ fn what_was_given_wrongly_is_named(session: &Session, options: &RegisterOptions)
         options.squares.as_mut().unwrap()
     }
     refused(&|_, o| squares(o).centres_m[2].x += 0.005, &["square 3", "5.", "measure it again"]);
+    let narrower =
+        |o: &mut RegisterOptions| squares(o).centres_m.iter_mut().for_each(|c| c.x *= 100.0 / 112.0);
+    refused(&|_, o| narrower(o), &["squares", "check the squares file"]);
     refused(&|_, o| squares(o).size_m = 0.016, &["squares of about 12 mm", "not 16.0 mm"]);
     refused(&|s, _| s.manifest.distance_m = Some(0.75), &["camera were about 90", "not 750 mm"]);
     let flip = |s: &mut Session| {

@@ -11,6 +11,8 @@ use super::rig_model::RigModel;
 const FEWEST_VIEWS: usize = 5;
 /// Without the square the others agree at least so many times better.
 const BETTER: f64 = 3.0;
+/// The others agree so many times better without it than without any other.
+const CERTAIN: f64 = 2.0;
 /// Where the views have it is so many standard deviations from where the file has it ...
 const SURE_SIGMA: f64 = 6.0;
 /// ... and at least this part of its side: rulers and printers are no better than that.
@@ -23,6 +25,9 @@ pub(super) struct Misplaced {
     pub square: usize,
     /// Where the views have it less where the file has it, metres.
     pub by_m: DVec2,
+    /// Whether no other square explains the views nearly as well: of four at the corners of a rectangle, each can make up for each
+    /// other's small error.
+    pub is_certain: bool,
 }
 
 /// What one view says of a square when the others put the view in its place: how far the square is from where the file has it, and
@@ -44,7 +49,11 @@ pub(super) fn misplaced(frame: &Frame, views: &[ViewData]) -> Option<Misplaced> 
         let misfit = median(&votes.iter().map(|vote| vote.misfit).collect::<Vec<_>>());
         (votes.len() >= FEWEST_VIEWS).then_some((square, misfit, votes))
     });
-    let (square, misfit, votes) = blamed.min_by(|a, b| a.1.total_cmp(&b.1))?;
+    let mut blamed: Vec<_> = blamed.collect();
+    blamed.sort_by(|a, b| a.1.total_cmp(&b.1));
+    let mut blamed = blamed.into_iter();
+    let (square, misfit, votes) = blamed.next()?;
+    let is_certain = blamed.next().is_none_or(|(_, other, _)| other > CERTAIN * misfit);
     let along = |axis: usize| {
         let offsets: Vec<f64> = votes.iter().map(|vote| vote.by_m[axis]).collect();
         let middle = median(&offsets);
@@ -56,7 +65,7 @@ pub(super) fn misplaced(frame: &Frame, views: &[ViewData]) -> Option<Misplaced> 
     let by_m = DVec2::new(x, y);
     let least = (SURE_SIGMA * sigma_x.hypot(sigma_y)).max(LEAST_PART * frame.layout.size_m);
     let is_elsewhere = by_m.length() > least && BETTER * misfit < median(&together);
-    is_elsewhere.then_some(Misplaced { square, by_m })
+    is_elsewhere.then_some(Misplaced { square, by_m, is_certain })
 }
 
 fn vote(frame: &Frame, view: &ViewData, square: usize) -> Option<Vote> {

@@ -37,6 +37,10 @@ const PUZZLES: usize = 8;
 /// A square that is elsewhere by this part of its side and more spoils every pose; by less it is worth a word.
 const SPOILS: f64 = 0.1;
 
+/// Views of a rig that holds its parts deviate by less (standard deviation) from what it was told, radians and part of the distance.
+const WILD_RAD: f64 = 0.026;
+const WILD_SHIFT: f64 = 0.006;
+
 /// Registers the session's finished views: squares found in the radiance, one adjustment over all views. Without
 /// squares a view is where its commanded angles put it, as sure as such angles usually are.
 ///
@@ -130,7 +134,26 @@ pub fn register(
         }
     }
     let adjusted = settle(&frame, &mut data, &mut dropped)?;
+    if options.squares.is_some() {
+        refuse_wild(&adjusted, frame.distance_m)?;
+    }
     Ok(Registration { notes, ..report(&frame, &data, &adjusted, &dropped, made_from, &name) })
+}
+
+/// Refuses poses whose deviations are those of no rig: three squares always fit some pose, wherever the file has them.
+fn refuse_wild(adjusted: &Adjusted, distance_m: f64) -> Result<()> {
+    let sigma = &adjusted.sigma;
+    let shift_m = sigma[3..].iter().copied().fold(0.0, f64::max);
+    let turn_rad = sigma[..3].iter().copied().fold(0.0, f64::max);
+    if turn_rad < WILD_RAD && shift_m < WILD_SHIFT * distance_m {
+        return Ok(());
+    }
+    let what = format!(
+        "by their squares the views deviate from what their angles say by {:.1} degrees and {:.1} mm (standard deviations), more than a rig does",
+        turn_rad.to_degrees(),
+        1e3 * shift_m
+    );
+    Err(Error::request(what, CHECK_ALL))
 }
 
 /// What comes most often, and how often.
@@ -145,7 +168,7 @@ fn usual<'a>(kinds: impl Iterator<Item = &'a str>) -> String {
 ///
 /// # Errors
 /// [`Error::Request`] where it is so far off that no pose is what it seems.
-fn told(layout: &Squares, Misplaced { square, by_m }: Misplaced) -> Result<String> {
+fn told(layout: &Squares, Misplaced { square, by_m, is_certain }: Misplaced) -> Result<String> {
     let at = layout.centres_m[square];
     let what = format!(
         "square {} of the squares file (at {:.1}, {:.1} mm) seems {:.1} mm from where the file has it: all views together have it at {:.1}, {:.1} mm",
@@ -156,7 +179,10 @@ fn told(layout: &Squares, Misplaced { square, by_m }: Misplaced) -> Result<Strin
         1e3 * (at.x + by_m.x),
         1e3 * (at.y + by_m.y)
     );
-    let remedy = "measure it again";
+    let remedy = match is_certain {
+        true => "measure it again",
+        false => "measure it again, and the others, which would explain the views nearly as well",
+    };
     match by_m.length() > SPOILS * layout.size_m {
         true => Err(Error::request(what, remedy)),
         false => Ok(format!("{what}; {remedy}")),

@@ -197,6 +197,19 @@ impl Camera {
     }
 }
 
+impl Camera {
+    /// Whether the whole block is black, or saturated.
+    pub fn beyond<const N: usize>(&self, levels: &[[u16; 3]; N]) -> (bool, bool) {
+        let all = |is: &dyn Fn(u16) -> bool| levels.iter().all(|level| is(level[self.channel]));
+        (all(&|level| level == 0), all(&|level| level >= self.saturated_level))
+    }
+
+    /// ln exposure below which a level is too dark, and from which on it is saturated.
+    pub fn limits(&self, curve: &DVector<f64>) -> [f64; 2] {
+        [curve[self.dark_knot], curve[self.saturated_knot]]
+    }
+}
+
 /// A block in one photograph: its histogram over knots (adding to 1) and ln exposure time.
 pub(super) struct Row {
     pub photograph: usize,

@@ -202,6 +202,8 @@ impl Samples {
                 let against = DVector::from_fn(n, |k, _| if k == j { 1.0 } else { -others });
                 let sigma = if n < 2 { f64::INFINITY } else { against.dot(&(&covariance * &against)).sqrt() };
                 let stated_s = bracket.exposure_s[j];
+                let stands = !self.contradicts(stack, j, &off, &cameras, &curves);
+                let sigma = if stands { sigma } else { f64::INFINITY };
                 MeasuredTime {
                     path: bracket.paths[j].clone(),
                     stated_s,
@@ -210,6 +212,49 @@ impl Samples {
                 }
             })
             .collect()
+    }
+}
+
+/// So many blocks must contradict a time, and this part of those that could; by so much (ln exposure).
+const LEAST_CONTRADICTING: usize = 8;
+const PART_CONTRADICTING: f64 = 0.5;
+const CONTRADICTING: f64 = 0.3;
+
+impl Samples {
+    /// Whether what a photograph saturated, or left black, would have been neither with the time that is measured for it. What JPEG
+    /// leaves in the black beside a bright edge is alike in all photographs: where nothing else of a photograph is measured, it says that all
+    /// times are the same.
+    fn contradicts(
+        &self,
+        stack: usize,
+        j: usize,
+        off: &DVector<f64>,
+        cameras: &[Camera; 3],
+        curves: &[DVector<f64>; 3],
+    ) -> bool {
+        let exposure_s = &self.stacks[stack].exposure_s;
+        let (mut beyond, mut contradicting) = (0, 0);
+        for block in self.blocks.iter().filter(|block| block.stack == stack) {
+            for (camera, curve) in cameras.iter().zip(curves) {
+                let (black, white) = camera.beyond(&block.levels[j]);
+                if !(black || white) {
+                    continue;
+                }
+                // Of what is white the longest photograph that is not tells most, of what is black the longest of all.
+                let rows = rows(block, exposure_s, camera);
+                let Some(row) = rows.iter().find(|row| row.photograph != j) else { continue };
+                let exposure: f64 = row.histogram.iter().map(|&(k, share)| share * curve[k].exp()).sum();
+                let longer = (exposure_s[j] / exposure_s[row.photograph]).ln() + off[j] - off[row.photograph];
+                let expected = exposure.ln() + longer;
+                let [dark, saturated] = camera.limits(curve);
+                beyond += 1;
+                contradicting += usize::from(match white {
+                    true => expected < saturated - CONTRADICTING,
+                    false => expected > dark + CONTRADICTING + 1.0,
+                });
+            }
+        }
+        contradicting >= LEAST_CONTRADICTING && contradicting as f64 > PART_CONTRADICTING * beyond as f64
     }
 }
 
@@ -403,6 +448,35 @@ mod tests {
         assert_eq!(learnt.doubtful.len(), 1);
         let off = learnt.doubtful[0].measured_s / learnt.doubtful[0].stated_s;
         assert!((off - 1.2).abs() < 0.03, "{off}");
+    }
+
+    /// Of the longest photographs nothing is measured but what compression leaves in the black beside what they saturate.
+    #[test]
+    fn the_dirt_in_the_black_is_no_clock() {
+        let (times, width) = (stops(8, 1), 256);
+        for (_, curve) in CURVES {
+            let mut stacks = vec![];
+            for view in 0..2 {
+                let mut scene = simulated::scene(width, 192, view);
+                for (i, radiance) in scene.iter_mut().enumerate() {
+                    // Bright to the left, black to the right.
+                    *radiance = radiance.map(|r| if i % width < width / 2 { r.max(0.05) } else { 0.0 });
+                }
+                let mut stack = simulated::shoot(&scene, width, &times, curve, 1.0, view);
+                for picture in &mut stack.pictures {
+                    for (i, level) in picture.levels.iter_mut().enumerate() {
+                        if i % width >= width / 2 {
+                            *level = [6 + (i % 3 + i / width % 5) as u16; 3];
+                        }
+                    }
+                }
+                stacks.push(stack);
+            }
+            let learnt = learn(&stacks);
+            assert_eq!(learnt.doubtful, []);
+            let times = stacks[0].times(&learnt.response, &learnt.noise);
+            assert!(times.iter().all(|time| !time.is_doubtful()), "{times:?}");
+        }
     }
 
     #[test]

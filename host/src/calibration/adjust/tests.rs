@@ -144,8 +144,12 @@ fn a_square_that_the_file_has_elsewhere_is_named() {
         let mut wrong = layout.clone();
         wrong.centres_m[square] -= by_m.extend(0.0);
         let found = misplaced(&frame(&wrong), &data).unwrap();
-        assert_eq!(found.square, square);
-        assert!(found.by_m.distance(by_m) < 2e-4, "{found:?} {by_m}");
+        assert!(found.square == square || !found.is_certain, "{found:?}");
+        // A small error may be another one's; a large one is not.
+        if by_m.length() < 0.002 {
+            continue;
+        }
+        assert!(found.square == square && found.by_m.distance(by_m) < 2e-4, "{found:?} {by_m}");
     }
 }
 
