@@ -215,9 +215,10 @@ impl Samples {
     }
 }
 
-/// So many blocks must contradict a time, and this part of those that could; by so much (ln exposure).
+/// So many blocks must contradict a time, and this part of those that are black or saturated (most are so at any time); by so much (ln
+/// exposure).
 const LEAST_CONTRADICTING: usize = 8;
-const PART_CONTRADICTING: f64 = 0.5;
+const PART_CONTRADICTING: f64 = 0.05;
 const CONTRADICTING: f64 = 0.3;
 
 impl Samples {
