@@ -6,12 +6,15 @@ pub mod chessboard;
 mod corners;
 mod edge;
 pub mod lens;
+mod look;
 mod luminance;
+mod misplaced;
 mod register;
 mod registration;
 mod rig_model;
 mod square;
 mod squares;
+mod suspect;
 pub mod vignetting;
 
 pub use chessboard::{BoardCorner, BoardSize, Sighting, find_board};
@@ -24,3 +27,13 @@ pub use registration::{DeviationSigma, DroppedView, RegisteredView, Registration
 pub use rig_model::RigModel;
 pub use squares::Squares;
 pub use vignetting::Vignetting;
+
+/// The middle of some numbers, the upper one of two; 0 of none.
+fn median(values: &[f64]) -> f64 {
+    let mut values = values.to_vec();
+    if values.is_empty() {
+        return 0.0;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}

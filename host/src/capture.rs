@@ -174,6 +174,10 @@ pub fn capture(
             "nobody sees the photographs before they are collected: every view has its whole bracket".into(),
         );
     }
+    if let Some(doubt) = planned::unlearnt(session).filter(|_| planner.is_none()) {
+        session.notice(doubt.clone())?;
+        doubts.push(doubt);
+    }
     progress.step(total, total).map(|()| doubts)
 }
 

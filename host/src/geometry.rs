@@ -242,6 +242,31 @@ pub fn azimuth_zenith(direction: DVec3) -> (f64, f64) {
     (direction.y.atan2(direction.x).rem_euclid(2.0 * PI), zenith)
 }
 
+/// How sure the numbers of a lens are: their covariance in the order fx fy cx cy k1 k2 p1 p2 k3 (pixels, and none).
+pub type LensCovariance = [[f64; 9]; 9];
+
+/// A chessboard by its inner corners.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct BoardSize {
+    /// Inner corners along one side.
+    pub columns: u32,
+    /// Inner corners along the other.
+    pub rows: u32,
+}
+
+impl BoardSize {
+    /// How many inner corners there are.
+    pub fn count(&self) -> usize {
+        self.columns as usize * self.rows as usize
+    }
+}
+
+impl std::fmt::Display for BoardSize {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        write!(f, "{}x{}", self.columns, self.rows)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -111,7 +111,8 @@ pub fn measure_with(session: &Session, options: &Options, progress: &dyn Progres
             "bring them with `rigel collect`",
         ));
     }
-    check_focal_lengths(session, &views)?;
+    check_times(session, &views)?;
+    check_focal_lengths(session, &views, &|| progress.step(0, views.len()))?;
     let looked_at = if *choice == ResponseChoice::Recover { views.len().min(VIEWS_FOR_RESPONSE) } else { 0 };
     let total = looked_at + views.len();
     let done = AtomicUsize::new(0);
@@ -119,7 +120,8 @@ pub fn measure_with(session: &Session, options: &Options, progress: &dyn Progres
     let learnt = match choice {
         ResponseChoice::Recover => {
             let some: Vec<usize> = (0..looked_at).map(|i| views[i * views.len() / looked_at]).collect();
-            let learnt = samples(session, &some, &step)?.learn()?;
+            let interrupted = || progress.step(looked_at, total);
+            let learnt = samples(session, &some, &step)?.learn_unless(&interrupted)?;
             options.times.judge(&learnt.doubtful)?;
             Some(learnt)
         }
@@ -128,12 +130,14 @@ pub fn measure_with(session: &Session, options: &Options, progress: &dyn Progres
     let (response, noise) = match learnt {
         Some(learnt) => (learnt.response, learnt.noise),
         None => {
-            let response = given(session, choice, stack(session, views[0])?.white())?;
+            let response = given(session, choice, Stack::of_view(session, views[0])?.white())?;
             let noise = NoiseModel::assumed(&response);
             (response, noise)
         }
     };
+    progress.step(looked_at, total)?;
     let vignetting = vignetting(session, &response, &noise)?;
+    progress.step(looked_at, total)?;
 
     let folder = gather_in(
         session,
@@ -148,11 +152,11 @@ pub fn measure_with(session: &Session, options: &Options, progress: &dyn Progres
     let written = AtomicUsize::new(0);
     let [pixels, saturated, dark, moved] = [const { AtomicUsize::new(0) }; 4];
     let corrected = Mutex::new(Vec::new());
-    let finished = response.write_csv(&folder.join("response.csv")).and_then(|()| {
+    let finished = response.write_csv(&folder.join(RESPONSE)).and_then(|()| {
         views.par_iter().try_for_each(|&view| {
             let path = folder.join(session.radiance_path(view).file_name().unwrap_or_default());
             if !path.is_file() {
-                let mut stack = stack(session, view)?;
+                let mut stack = Stack::of_view(session, view)?;
                 // sRGB is nobody's response exactly, and few 8 bits are linear: what contradicts a guess may be right.
                 if !response.is_assumed() && times_are_known(session, view) {
                     let times = stack.times(&response, &noise);
@@ -222,12 +226,34 @@ fn given(session: &Session, choice: &ResponseChoice, white: u16) -> Result<Respo
     }
 }
 
+/// Exposure times are all known or all unknown: one second in place of one among known ones would be a guess.
+fn check_times(session: &Session, views: &[usize]) -> Result<()> {
+    let photographs = || views.iter().flat_map(|&view| session.photographs(view));
+    let unknown = photographs().find(|photograph| photograph.exposure_s.is_none());
+    match (unknown, photographs().find(|photograph| photograph.exposure_s.is_some())) {
+        (Some(unknown), Some(known)) => Err(Error::input(
+            session.photograph_path(unknown),
+            format!(
+                "has no exposure time, where others have one ({})",
+                session.photograph_path(known).display()
+            ),
+            "import again with the times of all photographs (--csv, --exposure-times), or leave out those that have none",
+        )),
+        _ => Ok(()),
+    }
+}
+
 /// A zoom that was touched makes every lens and vignetting wrong: photographs of one lens must have one focal length, as far
 /// as they tell it.
-fn check_focal_lengths(session: &Session, views: &[usize]) -> Result<()> {
+fn check_focal_lengths(
+    session: &Session,
+    views: &[usize],
+    interrupted: &dyn Fn() -> Result<()>,
+) -> Result<()> {
     let mut first: BTreeMap<usize, (PathBuf, f64)> = BTreeMap::new();
     for &view in views {
         for photograph in session.photographs(view) {
+            interrupted()?;
             let path = session.photograph_path(photograph);
             let Some(length_mm) = exif::read(&path)?.focal_length_mm else { continue };
             let lens = session.manifest.views[view].lens;
@@ -241,7 +267,7 @@ fn check_focal_lengths(session: &Session, views: &[usize]) -> Result<()> {
             }
         }
     }
-    Ok(())
+    interrupted()
 }
 
 fn times_are_known(session: &Session, view: usize) -> bool {
@@ -254,30 +280,12 @@ fn samples(session: &Session, views: &[usize], step: &(dyn Fn() -> Result<()> + 
         .par_iter()
         .map(|&view| {
             let mut samples = Samples::default();
-            samples.add(&stack(session, view)?)?;
+            samples.add(&Stack::of_view(session, view)?)?;
             step().map(|()| samples)
         })
         .collect::<Result<_>>()?;
     let mut all = Samples::default();
     each.into_iter().try_for_each(|samples| all.append(samples)).map(|()| all)
-}
-
-/// The photographs of a view with their times.
-pub(crate) fn stack(session: &Session, view: usize) -> Result<Stack> {
-    let photographs = session.photographs(view);
-    if photographs.is_empty() {
-        return Err(Error::input(
-            session.folder(),
-            format!("has no photograph of view {}", session.manifest.views[view].name),
-            "import or capture it again",
-        ));
-    }
-    let pictures = photographs
-        .iter()
-        .map(|photograph| Picture::read(session.photograph_path(photograph)))
-        .collect::<Result<_>>()?;
-    let times = photographs.iter().map(|photograph| photograph.exposure_s.unwrap_or(1.0)).collect();
-    Stack::new(pictures, times)
 }
 
 fn vignetting(session: &Session, response: &Response, noise: &NoiseModel) -> Result<Option<Vignetting>> {
@@ -316,6 +324,8 @@ fn made_from(
 
 /// What the radiance of a folder was made from: it must not be mixed with radiance that was made in another way.
 const MADE_FROM: &str = "made_from.txt";
+/// The response that was used.
+const RESPONSE: &str = "response.csv";
 
 fn beside(session: &Session) -> PathBuf {
     session.folder().join("radiance.new")
@@ -350,6 +360,12 @@ fn gather_in(session: &Session, made_from: &str) -> Result<PathBuf> {
 /// it waits for the next run.
 fn settle(session: &Session, folder: &Path, finished: Result<()>) -> Result<()> {
     if folder != beside(session) {
+        let is_written = (0..session.manifest.views.len()).any(|view| session.radiance_path(view).exists());
+        if finished.is_err() && !is_written {
+            // Nothing to go on from. Best effort: the error that matters is the one returned.
+            let _ = [MADE_FROM, RESPONSE].map(|name| fs::remove_file(folder.join(name)));
+            let _ = fs::remove_dir(folder);
+        }
         return finished;
     }
     match finished {

@@ -2,8 +2,7 @@
 
 use serde::{Deserialize, Deserializer, Serializer};
 
-use crate::calibration::BoardSize;
-use crate::geometry::{Surface, Texels};
+use crate::geometry::{BoardSize, Surface, Texels};
 use crate::{Error, Result};
 
 /// Reads a length with its unit (`900mm`, `20cm`, `0.9m`) in metres.

@@ -13,8 +13,7 @@ use glam::DVec3;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
-use crate::calibration::LensCovariance;
-use crate::geometry::{Lens, Pose};
+use crate::geometry::{Lens, LensCovariance, Pose};
 use crate::{Error, Result};
 
 /// The longest side of a picture.

@@ -180,6 +180,31 @@ fn a_stated_error_is_reached_with_fewer_photographs() {
     }
 }
 
+/// Of photographs that saturate nothing there is one for each view, and no response can be learnt.
+#[test]
+fn a_camera_that_cannot_be_learnt_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let simulated = SimulatedRig::start(RigOptions { speed_factor: 200.0, ..RigOptions::default() }).unwrap();
+    let mut rig = SerialRig::open(simulated.port_name()).unwrap();
+    let position = simulated.position();
+    let options = Options { lens: Lens::pinhole(160, 120, 1400.0), ..Options::default() };
+    let mut camera = SimulatedCamera::new(Scene::patchwork(), options, move || {
+        (position.now().pan_rad, position.now().tilt_rad)
+    });
+    let mut manifest = Manifest {
+        longest_exposure_s: Some(2e-4),
+        precision: Some(Precision { relative_error: 0.03, share: SHARE }),
+        ..Manifest::new("simulated")
+    };
+    add_views(&mut manifest, &tour(&icosphere(2, 0.5).unwrap(), &rig.limits()).unwrap()[..3]);
+    let mut session = Session::create(&folder.path().join("session"), manifest).unwrap();
+    let doubts = capture(&mut session, &mut rig, &mut camera, &Silent).unwrap();
+    assert!(
+        doubts.iter().any(|doubt| doubt.contains("halved, not planned") && doubt.contains("--response")),
+        "{doubts:?}"
+    );
+}
+
 #[test]
 fn a_planned_capture_that_is_interrupted_goes_on_as_if_nothing_had_been() {
     let folder = tempfile::tempdir().unwrap();

@@ -66,8 +66,34 @@ fn poses_from_photographs_alone_and_what_is_fitted_with_them() {
     // Coarser texels cannot show what the surface has.
     assert!(columns < 384 || (mean <= 5.5 && psnr >= 29.4), "mean {mean:.2} of 255, PSNR {psnr:.2} dB");
 
+    what_was_given_wrongly_is_named(&session, &options);
     bad_views_are_dropped_by_name_and_the_others_stay(&session, &options, &registration, &truth);
     without_squares_poses_are_less_sure_and_say_so(&session, lens, &truth);
+}
+
+/// A square that is 5 mm off in the file, squares of another size, a camera that is elsewhere, signs of angles.
+fn what_was_given_wrongly_is_named(session: &Session, options: &RegisterOptions) {
+    let refused = |slip: &dyn Fn(&mut Session, &mut RegisterOptions), names: &[&str]| {
+        let (mut session, mut options) = (Session::open(session.folder()).unwrap(), options.clone());
+        slip(&mut session, &mut options);
+        let message = register(&session, &options, &Silent).unwrap_err().to_string();
+        println!("{message}");
+        assert!(names.iter().all(|name| message.contains(name)), "{message} should name {names:?}");
+    };
+    fn squares(options: &mut RegisterOptions) -> &mut rigel::calibration::Squares {
+        options.squares.as_mut().unwrap()
+    }
+    refused(&|_, o| squares(o).centres_m[2].x += 0.005, &["square 3", "5.", "measure it again"]);
+    let narrower =
+        |o: &mut RegisterOptions| squares(o).centres_m.iter_mut().for_each(|c| c.x *= 100.0 / 112.0);
+    refused(&|_, o| narrower(o), &["squares", "check the squares file"]);
+    refused(&|_, o| squares(o).size_m = 0.016, &["squares of about 12 mm", "not 16.0 mm"]);
+    refused(&|s, _| s.manifest.distance_m = Some(0.75), &["camera were about 90", "not 750 mm"]);
+    let flip = |s: &mut Session| {
+        s.manifest.views.iter_mut().for_each(|view| view.pan_deg = view.pan_deg.map(|pan| -pan));
+    };
+    refused(&|s, _| flip(s), &["every pan had the other sign", "table of angles"]);
+    refused(&|_, o| squares(o).centres_m.truncate(1), &["single square", "four or more"]);
 }
 
 /// Two views swapped in the table, one with a wrong angle, one with all its squares in glare and one with two of them.

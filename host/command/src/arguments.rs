@@ -286,6 +286,9 @@ pub struct Calibrate {
     /// Folder for residuals.csv, and residuals and uncertainty across the picture as SVG
     #[arg(long)]
     pub residuals: Option<PathBuf>,
+    /// Replace the lens that is there
+    #[arg(long)]
+    pub force: bool,
 }
 
 #[derive(Args)]
@@ -316,6 +319,9 @@ pub struct Register {
     /// The lens, as `rigel calibrate` or OpenCV wrote it [default: the session's]
     #[arg(long)]
     pub lens: Option<PathBuf>,
+    /// Replace the registration that is there
+    #[arg(long)]
+    pub force: bool,
 }
 
 #[derive(Args)]

@@ -46,6 +46,22 @@ fn views_by_name<'a>(
     wanted.iter().map(find).collect()
 }
 
+/// Makes sure, before the work, that a result can be written at `path`: its folder is there and may be written, and nothing stands
+/// in its place or it may be replaced.
+fn require_place(path: &Path, force: bool) -> Result<()> {
+    if path.exists() && !force {
+        return Err(Error::input(
+            path,
+            "is there already",
+            "choose another name, or replace it with --force",
+        ));
+    }
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let trial = path.with_file_name(format!("{name}.{}.rigel-tmp", std::process::id()));
+    let tried = std::fs::File::create(&trial).map(drop).and_then(|()| std::fs::remove_file(&trial));
+    tried.map_err(Error::io("write", path))
+}
+
 /// Refuses to write a file under a name that says something else: a slip must not overwrite a session or its observations.
 fn require_extension(path: &Path, extension: &str) -> Result<()> {
     match path.extension() {

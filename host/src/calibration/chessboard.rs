@@ -13,29 +13,8 @@ use glam::DVec2;
 use self::corner::Search;
 use self::grey::Grey;
 use self::grid::{Grid, Place};
+pub use crate::geometry::BoardSize;
 use crate::picture::Picture;
-
-/// A chessboard by its inner corners.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct BoardSize {
-    /// Inner corners along one side.
-    pub columns: u32,
-    /// Inner corners along the other.
-    pub rows: u32,
-}
-
-impl BoardSize {
-    /// How many inner corners there are.
-    pub fn count(&self) -> usize {
-        self.columns as usize * self.rows as usize
-    }
-}
-
-impl std::fmt::Display for BoardSize {
-    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
-        write!(f, "{}x{}", self.columns, self.rows)
-    }
-}
 
 /// A corner that was found.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -161,7 +140,12 @@ impl Seen {
     }
 
     fn better_than(&self, other: &Self) -> bool {
-        (self.fit.is_some(), self.grid.len()) > (other.fit.is_some(), other.grid.len())
+        (self.whole(), self.worth()) > (other.whole(), other.worth())
+    }
+
+    /// A part of the board that was asked for is better than somewhat more of another one.
+    fn worth(&self) -> usize {
+        self.grid.len() * if self.fit.is_some() { 3 } else { 2 }
     }
 
     fn sighting(&self, full: &Grey) -> Sighting {

@@ -20,11 +20,10 @@ pub use self::photographs::calibrate_photographs;
 
 use self::project::{LENS, project};
 use super::chessboard::BoardCorner;
+use super::median;
 use crate::geometry::Lens;
+pub use crate::geometry::LensCovariance;
 use crate::{Error, Result};
-
-/// How sure the numbers of a lens are: their covariance in the order fx fy cx cy k1 k2 p1 p2 k3 (pixels, and none).
-pub type LensCovariance = [[f64; LENS]; LENS];
 
 /// The names of a lens's numbers, in the order of [`LensCovariance`].
 pub const LENS_NAMES: [&str; LENS] = ["fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"];
@@ -73,8 +72,8 @@ impl LensModel {
         })
     }
 
-    /// Which numbers of a lens it estimates, in the order of [`LensCovariance`].
-    fn free(self) -> [bool; LENS] {
+    /// Which numbers of a lens it estimates, in the order of [`LENS_NAMES`]; the others are held at 0.
+    pub fn estimated(self) -> [bool; LENS] {
         let terms = [0, 1, 2, 4, 5][self as usize];
         std::array::from_fn(|k| k < 4 + terms)
     }
@@ -136,7 +135,20 @@ pub struct LensCalibration {
     pub verdict: String,
 }
 
+impl BoardFit {
+    /// The median distance of its used corners from where the lens shows them, pixels.
+    pub fn typical_px(&self) -> f64 {
+        let used = self.corners.iter().filter(|corner| corner.used);
+        median(&used.map(|corner| corner.residual.length()).collect::<Vec<_>>())
+    }
+}
+
 impl LensCalibration {
+    /// What is doubtful of one of the boards, and what to do, as a clause that goes on from its name; `None` where it is like the others.
+    pub fn doubt_about(&self, board: &BoardFit) -> Option<String> {
+        verdict::doubt_about(self, board)
+    }
+
     /// The covariance of the pixel where a direction of the camera frame appears, the direction that `pixel` shows; `None` where
     /// the lens shows nothing.
     pub fn projection_covariance(&self, pixel: DVec2) -> Option<[[f64; 2]; 2]> {

@@ -1,18 +1,19 @@
 //! From a session's radiance and commanded angles to the pose of every view.
 
+use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use glam::DVec2;
 use nalgebra::SMatrix;
 use rayon::prelude::*;
 
-use super::adjust::{Adjusted, Frame, LENS, ViewData, adjust, solo};
+use super::adjust::{Adjusted, Frame, LENS, ViewData, adjust};
 use super::lens::LensCovariance;
+use super::look::{Limits, Look, Scene, deviates, limits, most};
 use super::luminance::Luminance;
+use super::misplaced::{Misplaced, misplaced};
 use super::registration::{DeviationSigma, DroppedView, RegisteredView, Registration, made_from};
-use super::rig_model::{DEVIATIONS, Deviation, RigModel};
-use super::square::{Found, Search, Unseen, measure_square};
 use super::squares::Squares;
+use super::suspect::{Puzzle, suspect};
 use crate::geometry::Lens;
 use crate::progress::Progress;
 use crate::radiance::RadianceImage;
@@ -28,29 +29,25 @@ pub struct RegisterOptions {
     pub lens: Option<(Lens, Option<LensCovariance>)>,
 }
 
-/// A view that deviates by more than so many standard deviations of the others, and by more than these (degrees, part of the
-/// distance), is not what its angles say.
-const DOUBTFUL_SIGMA: f64 = 8.0;
-const DOUBTFUL_RAD: f64 = 0.02;
-const DOUBTFUL_SHIFT: f64 = 0.012;
-/// Squares are looked for within so many times their size of where they are expected.
-const REACH: f64 = 2.0;
-/// The least correlation of squares that are there with the picture of one.
-const LEAST_SCORE: f64 = 0.55;
-/// A square that is so many times less likely than expected (by corners good to 0.2 pixels) is something else.
-const WORST_MISFIT: f64 = 20.0;
-/// So many squares that agree with each other are no accident, however they look.
-const SQUARES_THAT_AGREE: usize = 3;
-/// Fewer squares do not fix a pose that can be checked.
-const FEWEST_SQUARES: usize = 2;
+/// What any of these is wrong does to the squares.
+const CHECK_ALL: &str = "check the squares file, the lens, the distance and the table of angles";
+/// So many views, spread over all, are asked whether a square is elsewhere; so many what else may be wrong.
+const WITNESSES: usize = 25;
+const PUZZLES: usize = 8;
+/// A square that is elsewhere by this part of its side and more spoils every pose; by less it is worth a word.
+const SPOILS: f64 = 0.1;
+
+/// Views of a rig that holds its parts deviate by less (standard deviation) from what it was told, radians and part of the distance.
+const WILD_RAD: f64 = 0.026;
+const WILD_SHIFT: f64 = 0.006;
 
 /// Registers the session's finished views: squares found in the radiance, one adjustment over all views. Without
 /// squares a view is where its commanded angles put it, as sure as such angles usually are.
 ///
 /// # Errors
 /// [`Error::Input`] where the session lacks radiance, commanded angles, the camera's distance or a lens, or has several
-/// lenses; [`Error::Request`] where squares are given and hardly any view shows them; [`Error::Io`];
-/// [`Error::Interrupted`].
+/// lenses; [`Error::Request`] where squares are given and hardly any view shows them where they should be, or one of them is
+/// not where the file has it; [`Error::Io`]; [`Error::Interrupted`].
 pub fn register(
     session: &Session,
     options: &RegisterOptions,
@@ -67,31 +64,49 @@ pub fn register(
     let done = AtomicUsize::new(0);
     let mut data: Vec<ViewData> = angles.iter().map(|&angles| at(angles)).collect();
     let mut dropped: Vec<Option<String>> = vec![None; views.len()];
+    let mut notes = vec![];
     if options.squares.is_some() {
-        let looks: Vec<Look> = (0..views.len())
+        notes.extend(layout.weakness()?);
+        let witness = views.len().div_ceil(WITNESSES);
+        let looks: Vec<(Look, Option<ViewData>)> = (0..views.len())
             .into_par_iter()
             .map(|index| {
                 let picture = luminance(session, views[index], &frame.lens)?;
-                let look = look(&frame, &picture, angles[index]);
+                let scene = Scene::new(&frame, &picture, angles[index]);
+                let looks = (scene.look(), index.is_multiple_of(witness).then(|| scene.alike()));
                 progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, views.len())?;
-                Ok(look)
+                Ok(looks)
             })
             .collect::<Result<_>>()?;
+        let (looks, witnesses): (Vec<Look>, Vec<Option<ViewData>>) = looks.into_iter().unzip();
+        let witnesses: Vec<ViewData> = witnesses.into_iter().flatten().collect();
+        if let Some(found) = misplaced(&frame, &witnesses) {
+            notes.push(told(layout, found)?);
+        }
         let limits = limits(&looks, frame.distance_m);
         let doubtful: Vec<usize> = (0..views.len()).filter(|&i| !looks[i].is_within(&limits)).collect();
         if 2 * doubtful.len() > views.len() {
-            return Err(Error::request(
-                format!(
-                    "in {} of {} views the squares are not where the commanded angles put them",
-                    doubtful.len(),
-                    views.len()
-                ),
-                "check the squares file, the lens, the distance and the table of angles",
-            ));
+            let some = doubtful.iter().step_by(doubtful.len().div_ceil(PUZZLES));
+            let puzzle = |&index: &usize| {
+                progress.step(views.len(), views.len())?;
+                let (pan_rad, tilt_rad) = angles[index];
+                Ok(Puzzle { picture: luminance(session, views[index], &frame.lens)?, pan_rad, tilt_rad })
+            };
+            let puzzles: Vec<Puzzle> = some.map(puzzle).collect::<Result<_>>()?;
+            let (why, remedy) = suspect(&frame, &puzzles).unwrap_or_else(|| {
+                let usual = usual(doubtful.iter().map(|&index| looks[index].kind(&limits)));
+                (format!("most of them {usual}"), CHECK_ALL)
+            });
+            let what = format!(
+                "in {} of {} views the squares are not where the commanded angles put them: {why}",
+                doubtful.len(),
+                views.len()
+            );
+            return Err(Error::request(what, remedy));
         }
         let others = |&index: &usize| -> Result<Vec<usize>> {
             let picture = luminance(session, views[index], &frame.lens)?;
-            Ok(others(&frame, &picture, &angles, index, &limits))
+            others(&frame, &picture, &angles, index, &limits, &|| progress.step(views.len(), views.len()))
         };
         let shown: Vec<Vec<usize>> = doubtful.par_iter().map(others).collect::<Result<_>>()?;
         for (d, &index) in doubtful.iter().enumerate() {
@@ -119,7 +134,59 @@ pub fn register(
         }
     }
     let adjusted = settle(&frame, &mut data, &mut dropped)?;
-    Ok(report(&frame, &data, &adjusted, &dropped, made_from, &name))
+    if options.squares.is_some() {
+        refuse_wild(&adjusted, frame.distance_m)?;
+    }
+    Ok(Registration { notes, ..report(&frame, &data, &adjusted, &dropped, made_from, &name) })
+}
+
+/// Refuses poses whose deviations are those of no rig: three squares always fit some pose, wherever the file has them.
+fn refuse_wild(adjusted: &Adjusted, distance_m: f64) -> Result<()> {
+    let sigma = &adjusted.sigma;
+    let shift_m = sigma[3..].iter().copied().fold(0.0, f64::max);
+    let turn_rad = sigma[..3].iter().copied().fold(0.0, f64::max);
+    if turn_rad < WILD_RAD && shift_m < WILD_SHIFT * distance_m {
+        return Ok(());
+    }
+    let what = format!(
+        "by their squares the views deviate from what their angles say by {:.1} degrees and {:.1} mm (standard deviations), more than a rig does",
+        turn_rad.to_degrees(),
+        1e3 * shift_m
+    );
+    Err(Error::request(what, CHECK_ALL))
+}
+
+/// What comes most often, and how often.
+fn usual<'a>(kinds: impl Iterator<Item = &'a str>) -> String {
+    let mut counts = BTreeMap::<&str, usize>::new();
+    kinds.for_each(|kind| *counts.entry(kind).or_default() += 1);
+    let most = counts.into_iter().max_by_key(|(_, count)| *count);
+    most.map_or_else(String::new, |(kind, count)| format!("({count}) {kind}"))
+}
+
+/// What is to be said of a square that is elsewhere.
+///
+/// # Errors
+/// [`Error::Request`] where it is so far off that no pose is what it seems.
+fn told(layout: &Squares, Misplaced { square, by_m, is_certain }: Misplaced) -> Result<String> {
+    let at = layout.centres_m[square];
+    let what = format!(
+        "square {} of the squares file (at {:.1}, {:.1} mm) seems {:.1} mm from where the file has it: all views together have it at {:.1}, {:.1} mm",
+        square + 1,
+        1e3 * at.x,
+        1e3 * at.y,
+        1e3 * by_m.length(),
+        1e3 * (at.x + by_m.x),
+        1e3 * (at.y + by_m.y)
+    );
+    let remedy = match is_certain {
+        true => "measure it again",
+        false => "measure it again, and the others, which would explain the views nearly as well",
+    };
+    match by_m.length() > SPOILS * layout.size_m {
+        true => Err(Error::request(what, remedy)),
+        false => Ok(format!("{what}; {remedy}")),
+    }
 }
 
 /// The commanded angles of the views, radians.
@@ -198,162 +265,6 @@ fn luminance(session: &Session, view: usize, lens: &Lens) -> Result<Luminance> {
     Ok(Luminance::of(&image))
 }
 
-/// What the squares of one view say by themselves.
-struct Look {
-    squares: Vec<super::square::MeasuredSquare>,
-    /// Their mean correlation with the picture of a square.
-    score: f64,
-    deviation: Option<Deviation>,
-    hidden: usize,
-    outside: usize,
-}
-
-/// Squares may be so far from where a common shift puts them (pixels of some twentieth of a square): in a view that is
-/// where its angles say; and in one that is a few degrees off.
-const SPREADS: [i64; 2] = [4, 12];
-
-/// Finds and measures the squares of a view that should be at these angles.
-fn look(frame: &Frame, picture: &Luminance, angles: (f64, f64)) -> Look {
-    let view = at(angles);
-    let seen = RigModel::nominal(frame.distance_m).see(view.pan_rad, view.tilt_rad, &[0.0; DEVIATIONS]);
-    let corners = |square: usize, out_m: f64| frame.corners(square, &seen, &frame.lens, 0.0, out_m);
-    let layout = frame.layout;
-    let squares = 0..layout.centres_m.len();
-    let expected: Vec<_> = squares.clone().map(|square| corners(square, 0.0)).collect();
-    let ground: Vec<_> = squares.map(|square| corners(square, layout.ground_m)).collect();
-    let reach_px = REACH * layout.size_m / frame.distance_m * frame.lens.fx;
-    let search = Search::new(picture, &expected, reach_px);
-    let within = |spread| agreeing(frame, picture, view.clone(), &expected, &ground, &search.within(spread));
-    let [near, far] = SPREADS;
-    let first = within(near);
-    if first.is_there() { first } else { Some(within(far)).filter(Look::is_there).unwrap_or(first) }
-}
-
-/// Measures the squares where they were found and keeps those that agree.
-fn agreeing(
-    frame: &Frame,
-    picture: &Luminance,
-    mut view: ViewData,
-    expected: &[Option<[DVec2; 4]>],
-    ground: &[Option<[DVec2; 4]>],
-    found: &Found,
-) -> Look {
-    let mut look = Look { squares: vec![], score: 0.0, deviation: None, hidden: 0, outside: 0 };
-    for (square, shift) in found.shifts.iter().enumerate() {
-        let (Some(expected), Some(ground)) = (&expected[square], &ground[square]) else {
-            look.outside += 1;
-            continue;
-        };
-        let moved = |corners: &[DVec2; 4]| corners.map(|corner| corner + *shift);
-        match measure_square(picture, square, &moved(expected), &moved(ground)) {
-            Ok(measured) => view.squares.push(measured),
-            Err(Unseen::Outside) => look.outside += 1,
-            Err(_) => look.hidden += 1,
-        }
-    }
-    while view.squares.len() >= FEWEST_SQUARES {
-        let Some((deviation, misfit)) = solo(frame, &view) else { break };
-        let worst = (0..misfit.len()).max_by(|&a, &b| misfit[a].total_cmp(&misfit[b]));
-        match worst {
-            Some(worst) if misfit[worst] > WORST_MISFIT => {
-                view.squares.remove(worst);
-                look.hidden += 1;
-            }
-            _ => {
-                look.deviation = Some(deviation);
-                break;
-            }
-        }
-    }
-    let scores = view.squares.iter().map(|measured| found.scores[measured.square]);
-    look.score = scores.sum::<f64>() / view.squares.len().max(1) as f64;
-    look.squares = view.squares;
-    look
-}
-
-/// By how much a view may deviate: the median over the views, and limits about it.
-struct Limits {
-    middle: Deviation,
-    most: Deviation,
-}
-
-fn limits(looks: &[Look], distance_m: f64) -> Limits {
-    let mut limits = Limits { middle: [0.0; DEVIATIONS], most: [0.0; DEVIATIONS] };
-    for k in 0..DEVIATIONS {
-        let of_views: Vec<f64> = looks.iter().filter_map(|look| Some(look.deviation?[k])).collect();
-        let middle = median(of_views.clone());
-        let spread = median(of_views.iter().map(|value| (value - middle).abs()).collect()) / 0.6745;
-        let least = if k < 3 { DOUBTFUL_RAD } else { DOUBTFUL_SHIFT * distance_m };
-        limits.middle[k] = middle;
-        limits.most[k] = least.max(DOUBTFUL_SIGMA * spread);
-    }
-    limits
-}
-
-/// 0 of none.
-fn median(mut values: Vec<f64>) -> f64 {
-    if values.is_empty() {
-        return 0.0;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
-}
-
-const WHAT_DEVIATES: [&str; DEVIATIONS] = [
-    "its pan",
-    "its tilt",
-    "its turn about the third axis",
-    "its place along x",
-    "its place along y",
-    "its distance",
-];
-
-impl Look {
-    /// Whether the squares are there: they look so, or are too many to agree by chance. Glare spoils the look of some.
-    fn is_there(&self) -> bool {
-        self.deviation.is_some() && (self.score >= LEAST_SCORE || self.squares.len() >= SQUARES_THAT_AGREE)
-    }
-
-    fn is_within(&self, limits: &Limits) -> bool {
-        self.is_there() && self.excess(limits).is_none()
-    }
-
-    /// In which degree of freedom squares that are there deviate too much, and by how much.
-    fn excess(&self, limits: &Limits) -> Option<(usize, f64)> {
-        let deviation = self.deviation.filter(|_| self.is_there())?;
-        let k = limits.exceeded(&deviation)?;
-        Some((k, deviation[k] - limits.middle[k]))
-    }
-
-    fn complaint(&self) -> String {
-        format!(
-            "shows {} squares that agree where its angles put them, {} are hidden or elsewhere and {} outside the picture",
-            self.squares.len(),
-            self.hidden,
-            self.outside
-        )
-    }
-}
-
-impl Limits {
-    fn exceeded(&self, deviation: &Deviation) -> Option<usize> {
-        (0..DEVIATIONS).find(|&k| (deviation[k] - self.middle[k]).abs() > self.most[k])
-    }
-}
-
-fn deviates(k: usize, by: f64, most: f64) -> String {
-    let text = |value: f64| match k {
-        0..3 => format!("{:.2} degrees", value.to_degrees()),
-        _ => format!("{:.1} mm", value * 1e3),
-    };
-    format!(
-        "differs in {} by {} from what its angles say, more than {}",
-        WHAT_DEVIATES[k],
-        text(by),
-        text(most)
-    )
-}
-
 /// Which other views' angles explain what a view shows, the best first. Squares that lie symmetrically are explained by
 /// two.
 fn others(
@@ -362,17 +273,18 @@ fn others(
     angles: &[(f64, f64)],
     index: usize,
     limits: &Limits,
-) -> Vec<usize> {
-    let candidates = (0..angles.len()).filter(|&other| angles[other] != angles[index]);
-    let mut fits: Vec<(usize, f64)> = candidates
-        .filter_map(|other| {
-            let look = look(frame, picture, angles[other]);
-            let rank = look.squares.len() as f64 + look.score;
-            look.is_within(limits).then_some((other, rank))
-        })
-        .collect();
+    interrupted: &dyn Fn() -> Result<()>,
+) -> Result<Vec<usize>> {
+    let mut fits: Vec<(usize, f64)> = vec![];
+    for other in (0..angles.len()).filter(|&other| angles[other] != angles[index]) {
+        interrupted()?;
+        let look = Scene::new(frame, picture, angles[other]).look();
+        if look.is_within(limits) {
+            fits.push((other, look.squares.len() as f64 + look.score));
+        }
+    }
     fits.sort_by(|a, b| b.1.total_cmp(&a.1));
-    fits.into_iter().map(|(other, _)| other).collect()
+    Ok(fits.into_iter().map(|(other, _)| other).collect())
 }
 
 /// Adjusts the views that are not dropped; drops those that the adjustment shows to be doubtful, and adjusts again.
@@ -384,17 +296,12 @@ pub(super) fn settle(
     loop {
         let kept: Vec<usize> = (0..data.len()).filter(|&i| dropped[i].is_none()).collect();
         let views: Vec<ViewData> = kept.iter().map(|&i| data[i].clone()).collect();
-        let adjusted = adjust(frame, &views).ok_or_else(|| {
-            Error::request(
-                "the poses cannot be computed from these squares",
-                "check the squares file, the lens, the distance and the table of angles",
-            )
-        })?;
+        let adjusted = adjust(frame, &views)
+            .ok_or_else(|| Error::request("the poses cannot be computed from these squares", CHECK_ALL))?;
         let mut again = false;
         for (deviation, &index) in adjusted.deviations.iter().zip(&kept) {
             for (k, (&off, sigma)) in deviation.iter().zip(&adjusted.sigma).enumerate() {
-                let least = if k < 3 { DOUBTFUL_RAD } else { DOUBTFUL_SHIFT * frame.distance_m };
-                let most = least.max(DOUBTFUL_SIGMA * sigma);
+                let most = most(k, *sigma, frame.distance_m);
                 if off.abs() > most {
                     dropped[index] = Some(deviates(k, off, most));
                     again = true;
@@ -404,6 +311,16 @@ pub(super) fn settle(
         }
         if !again {
             return Ok(adjusted);
+        }
+        let left = dropped.iter().filter(|reason| reason.is_none()).count();
+        if 2 * left < data.len() {
+            let reasons = dropped.iter().flatten().map(String::as_str);
+            let what = format!(
+                "only {left} of {} views have a pose that is what their angles say; one of the others {}",
+                data.len(),
+                reasons.clone().next_back().unwrap_or_default()
+            );
+            return Err(Error::request(what, CHECK_ALL));
         }
     }
 }
@@ -438,6 +355,7 @@ pub(super) fn report(
         rig: frame.rig(&adjusted.shared),
         deviations: DeviationSigma { pan_rad, tilt_rad, third_rad, shift_m: [x, y, z] },
         views: views.collect(),
+        notes: vec![],
         dropped: reasons
             .filter_map(|(view, reason)| Some(DroppedView { name: name(view), reason: reason.clone()? }))
             .collect(),

@@ -30,6 +30,9 @@ pub struct Registration {
     pub rig: RigModel,
     /// How much the views deviate from it.
     pub deviations: DeviationSigma,
+    /// What is doubtful of all views, one sentence each.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub notes: Vec<String>,
     /// The registered views.
     #[serde(rename = "view", default)]
     pub views: Vec<RegisteredView>,

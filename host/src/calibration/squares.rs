@@ -62,6 +62,36 @@ impl Squares {
         Ok(Self { size_m, ground_m, centres_m })
     }
 
+    /// What such a layout tells less well than others; `None` where it is a good one.
+    ///
+    /// # Errors
+    /// [`Error::Request`] where there are fewer than two squares.
+    pub(super) fn weakness(&self) -> Result<Option<String>> {
+        let [first, .., last] = self.centres_m[..] else {
+            return Err(Error::request(
+                "a single square tells no pose that could be checked",
+                "put squares around the surface, four or more, and list them all",
+            ));
+        };
+        let furthest = |from: DVec3| {
+            let by_distance = |a: &&DVec3, b: &&DVec3| a.distance(from).total_cmp(&b.distance(from));
+            self.centres_m.iter().max_by(by_distance).copied().unwrap_or(from)
+        };
+        let (a, b) = (furthest(first), furthest(last));
+        let (from, to) = if a.distance(furthest(a)) > b.distance(furthest(b)) {
+            (a, furthest(a))
+        } else {
+            (b, furthest(b))
+        };
+        let along = (to - from).normalize_or_zero();
+        let off = |centre: &DVec3| (*centre - from).cross(along).length();
+        let widest = self.centres_m.iter().map(off).fold(0.0, f64::max);
+        Ok((widest < self.size_m).then(|| {
+            "the squares lie in one line: turns about it are known from their own small size only; add a square beside the line"
+                .into()
+        }))
+    }
+
     /// The corners of a square (an index of the centres) in the surface's frame, metres: counter-clockwise from the one with the
     /// smallest coordinates, grown by `by_m` on each side.
     pub fn corners_m(&self, square: usize, by_m: f64) -> [DVec3; 4] {
@@ -102,6 +132,17 @@ mod tests {
         assert!((squares.centres_m[1] - DVec3::new(0.0, -0.1, 0.0)).length() < 1e-12);
         let corners = squares.corners_m(1, 0.001);
         assert!((corners[2] - DVec3::new(0.007, -0.093, 0.0)).length() < 1e-12);
+    }
+
+    #[test]
+    fn squares_in_a_line_and_single_ones_are_told() {
+        let weakness =
+            |places: &str| read(&format!("size = \"12mm\"\ncentres = [{places}]")).unwrap().weakness();
+        let corners = r#"["-112mm", "-87mm"], ["112mm", "87mm"]"#;
+        assert!(weakness(corners).unwrap().unwrap().contains("one line"));
+        assert!(weakness(&format!("{corners}, [\"0mm\", \"5mm\"]")).unwrap().is_some());
+        assert_eq!(weakness(&format!("{corners}, [\"0mm\", \"50mm\"]")).unwrap(), None);
+        assert!(weakness(r#"["0mm", "0mm"]"#).unwrap_err().to_string().contains("single square"));
     }
 
     #[test]

@@ -238,9 +238,7 @@ fn curve(response: &Response, noise: &NoiseModel, channel: usize) -> Vec<f64> {
     let mut filled = None;
     for level in levels {
         let x = f64::from(table[level]);
-        let (below, above) = (level.saturating_sub(1), (level + 1).min(table.len() - 1));
-        let slope = f64::from(table[above] - table[below]) / (above - below) as f64;
-        let variance = noise.shot[channel] * x + noise.read[channel] + slope * slope * noise.level[channel];
+        let variance = noise.variance(channel, x, f64::from(response.slope(channel, level)));
         if x > 0.0 && variance > 0.0 {
             let (at, precision) = (bin(x), x * x / variance);
             // A level reaches down to the one before.

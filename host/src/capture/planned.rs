@@ -5,8 +5,7 @@ use std::path::PathBuf;
 use super::exposure::{Glimpse, Next, Planner};
 use super::{kept, recorded, stem, take};
 use crate::camera::Camera;
-use crate::measure::stack;
-use crate::radiance::{NoiseModel, Response, Samples};
+use crate::radiance::{NoiseModel, Response, Samples, Stack};
 use crate::session::{Place, Session};
 use crate::{Error, Result};
 
@@ -37,7 +36,7 @@ pub(super) fn planner(session: &Session, halvings_s: &[f64]) -> Result<Option<Pl
         }
         let (mut samples, mut found) = (Samples::default(), None);
         for (count, &view) in (1..).zip(views.iter().take(FIRST_VIEWS + MORE_VIEWS)) {
-            samples.add(&stack(session, view)?)?;
+            samples.add(&Stack::of_view(session, view)?)?;
             if count >= FIRST_VIEWS {
                 found = samples.response().ok();
             }
@@ -50,6 +49,18 @@ pub(super) fn planner(session: &Session, halvings_s: &[f64]) -> Result<Option<Pl
         (response, noise)
     };
     Ok(Some(Planner::new(precision, response, noise, halvings_s.to_vec())))
+}
+
+/// What is to be said of a session that was to be planned and was not.
+pub(super) fn unlearnt(session: &Session) -> Option<String> {
+    let views = session.done_views().len();
+    let seen = session.manifest.precision.is_some() && views > FIRST_VIEWS && session.waiting().is_empty();
+    seen.then(|| {
+        format!(
+            "the first {} views do not tell the camera's response: their times were halved, not planned; give --response, or a longest exposure time that saturates some pixels",
+            views.min(FIRST_VIEWS + MORE_VIEWS)
+        )
+    })
 }
 
 /// Takes the photographs that a view needs and has not yet.

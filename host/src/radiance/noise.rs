@@ -55,7 +55,7 @@ impl NoiseModel {
     }
 
     /// Variance of the exposure `x` where one level means `slope` of it.
-    pub(super) fn variance(&self, channel: usize, x: f64, slope: f64) -> f64 {
+    pub(crate) fn variance(&self, channel: usize, x: f64, slope: f64) -> f64 {
         self.shot[channel] * x.max(0.0) + self.read[channel] + slope * slope * self.level[channel]
     }
 

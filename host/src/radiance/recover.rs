@@ -93,16 +93,27 @@ impl Samples {
                 }
             }
             let right = right - &matrix * &baseline;
-            // The prior alone is positive definite, so there is always one; without any the baseline stays.
-            let Some(found) = posterior(priors, &matrix, &right) else { break };
-            g = monotone(&found.precision, &baseline + found.deviation);
+            let found = posterior(priors, &matrix, &right).ok_or_else(|| unsolved(channel))?;
+            g = monotone(&found.precision, &baseline + found.deviation).ok_or_else(|| unsolved(channel))?;
             precision = found.precision;
         }
         let white = response.white();
         let table =
             (0..=usize::from(white)).map(|level| interpolate(g.as_slice(), level, white).exp() as f32);
-        Ok((table.collect(), covariance(precision, &mean)))
+        let covariance = covariance(precision, &mean).ok_or_else(|| unsolved(channel))?;
+        Ok((table.collect(), covariance))
     }
+}
+
+/// The prior alone is positive definite: only numbers that are none get here. A curve that nobody measured must not pass for one that
+/// somebody did.
+fn unsolved(channel: usize) -> Error {
+    Error::request(
+        format!(
+            "the response cannot be recovered: the photographs contradict any curve in channel {channel}"
+        ),
+        "check that each view's photographs show the same, or choose the response `srgb` or `linear`",
+    )
 }
 
 /// How many blocks are looked at as one. A curve that is fitted to noisy levels is drawn towards the levels that are frequent;
@@ -183,6 +194,19 @@ impl Camera {
             saturated_knot: knot(noise.saturated_level[channel]),
             model_error: MODEL_ERROR,
         }
+    }
+}
+
+impl Camera {
+    /// Whether the whole block is black, or saturated.
+    pub fn beyond<const N: usize>(&self, levels: &[[u16; 3]; N]) -> (bool, bool) {
+        let all = |is: &dyn Fn(u16) -> bool| levels.iter().all(|level| is(level[self.channel]));
+        (all(&|level| level == 0), all(&|level| level >= self.saturated_level))
+    }
+
+    /// ln exposure below which a level is too dark, and from which on it is saturated.
+    pub fn limits(&self, curve: &DVector<f64>) -> [f64; 2] {
+        [curve[self.dark_knot], curve[self.saturated_knot]]
     }
 }
 
@@ -338,19 +362,18 @@ fn model_error(groups: &[Vec<Row>], g: &DVector<f64>, camera: &Camera) -> f64 {
 
 /// The covariance of g less its mean over the radiances from which it was learnt: the factor common to all of them is
 /// nothing but the unit.
-fn covariance(precision: DMatrix<f64>, mean: &DVector<f64>) -> DMatrix<f64> {
-    let covariance = match precision.cholesky() {
-        Some(factor) => factor.inverse(),
-        None => return DMatrix::zeros(KNOTS, KNOTS),
-    };
+fn covariance(precision: DMatrix<f64>, mean: &DVector<f64>) -> Option<DMatrix<f64>> {
+    let covariance = precision.cholesky()?.inverse();
     let mean = mean / mean.sum().max(f64::MIN_POSITIVE);
     let with_mean = &covariance * &mean;
     let of_mean = mean.dot(&with_mean);
-    DMatrix::from_fn(KNOTS, KNOTS, |i, k| covariance[(i, k)] - with_mean[i] - with_mean[k] + of_mean)
+    let about = |i: usize, k: usize| covariance[(i, k)] - with_mean[i] - with_mean[k] + of_mean;
+    Some(DMatrix::from_fn(KNOTS, KNOTS, about))
 }
 
-/// The curve of least cost that grows everywhere: steps that fall are fastened, one set after the other.
-fn monotone(precision: &DMatrix<f64>, free: DVector<f64>) -> DVector<f64> {
+/// The curve of least cost that grows everywhere: steps that fall are fastened, one set after the other. `None` where the numbers
+/// are none; each round fastens a new step of those that there are.
+fn monotone(precision: &DMatrix<f64>, free: DVector<f64>) -> Option<DVector<f64>> {
     // The least growth per knot: a curve that is flat would give a level no exposure of its own.
     const LEAST: f64 = 1e-4;
     let firm = precision.diagonal().max() * 1e3;
@@ -359,7 +382,7 @@ fn monotone(precision: &DMatrix<f64>, free: DVector<f64>) -> DVector<f64> {
     for _ in 0..KNOTS {
         let falling: Vec<usize> = (1..KNOTS).filter(|&k| g[k] - g[k - 1] < LEAST / 2.0).collect();
         if falling.is_empty() {
-            return g;
+            return g.iter().all(|value| value.is_finite()).then_some(g);
         }
         for k in falling {
             held[(k, k)] += firm;
@@ -369,12 +392,9 @@ fn monotone(precision: &DMatrix<f64>, free: DVector<f64>) -> DVector<f64> {
             right[k] += firm * LEAST;
             right[k - 1] -= firm * LEAST;
         }
-        let Some(factor) = held.clone().cholesky() else { break };
-        g = factor.solve(&right);
+        g = held.clone().cholesky()?.solve(&right);
     }
-    // Not reached for finite weights: the prior alone makes the matrix positive definite, and each round fastens a
-    // new step. The baseline grows.
-    DVector::from_iterator(KNOTS, knot_levels().map(baseline_at))
+    None
 }
 
 /// The knots' levels, 0 to 1.

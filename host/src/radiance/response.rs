@@ -99,7 +99,7 @@ impl Response {
     }
 
     /// How much exposure one level more means, at `level`.
-    pub(super) fn slope(&self, channel: usize, level: usize) -> f32 {
+    pub(crate) fn slope(&self, channel: usize, level: usize) -> f32 {
         let table = &self.exposure[channel];
         let (low, high) = (level.saturating_sub(1), (level + 1).min(table.len() - 1));
         (table[high] - table[low]) / (high - low) as f32

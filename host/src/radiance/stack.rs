@@ -1,6 +1,7 @@
 //! The photographs of one view, with their exposure times.
 
 use crate::picture::Picture;
+use crate::session::Session;
 use crate::{Error, Result};
 
 /// Photographs of one view from one place, that differ in their exposure time only.
@@ -46,6 +47,24 @@ impl Stack {
             }
         }
         Ok(Self { pictures, exposure_s })
+    }
+
+    /// The photographs of a session's view with their times; times that nobody knows count as 1 s.
+    pub(crate) fn of_view(session: &Session, view: usize) -> Result<Self> {
+        let photographs = session.photographs(view);
+        if photographs.is_empty() {
+            return Err(Error::input(
+                session.folder(),
+                format!("has no photograph of view {}", session.manifest.views[view].name),
+                "import or capture it again",
+            ));
+        }
+        let pictures = photographs
+            .iter()
+            .map(|photograph| Picture::read(session.photograph_path(photograph)))
+            .collect::<Result<_>>()?;
+        let times = photographs.iter().map(|photograph| photograph.exposure_s.unwrap_or(1.0)).collect();
+        Self::new(pictures, times)
     }
 
     /// The photographs' indices, the longest exposure first.

@@ -105,6 +105,25 @@ mod tests {
     }
 
     #[test]
+    fn any_number_of_coefficients_is_read_if_those_beyond_five_are_zero() {
+        let with = |numbers: &str| {
+            let start = YAML.rfind("data: [").unwrap();
+            read(Path::new("a"), &format!("{}data: [ {numbers} ]\n", &YAML[..start]))
+        };
+        let terms = |numbers: &str| with(numbers).map(|lens| [lens.k1, lens.k2, lens.p1, lens.p2, lens.k3]);
+        assert_eq!(terms("-0.2, 0.1, 1e-3, -2e-3").unwrap(), [-0.2, 0.1, 1e-3, -2e-3, 0.0]);
+        assert_eq!(terms("-0.2, 0.1, 1e-3, -2e-3, 0.3").unwrap(), [-0.2, 0.1, 1e-3, -2e-3, 0.3]);
+        assert_eq!(terms("-0.2, 0.1, 1e-3, -2e-3, 0.3, 0., 0., 0.").unwrap(), [-0.2, 0.1, 1e-3, -2e-3, 0.3]);
+        for (numbers, which) in [
+            ("-0.2, 0.1, 0., 0., 0.3, 0.4, 0., 0.", "number 6"),
+            ("0., 0., 0., 0., 0., 0., 0., 1e-9", "number 8"),
+        ] {
+            let message = with(numbers).unwrap_err().to_string();
+            assert!(message.contains("8 distortion_coefficients") && message.contains(which), "{message}");
+        }
+    }
+
+    #[test]
     fn what_cannot_be_meant_is_refused() {
         for (from, to) in
             [("camera_matrix", "matrix"), (" 1. ]", " ]"), ("0.252", "0.252, 0.1"), ("536.07", "five")]

@@ -77,9 +77,47 @@ fn what_is_written_is_read_back() {
     // A lens that bends as this one does is no pinhole: that model is refused.
     for model in LensModel::LADDER.into_iter().skip(1) {
         let mut arguments = arguments[..arguments.len() - 2].to_vec();
-        arguments.extend(["--model", model.name()]);
+        arguments.extend(["--model", model.name(), "--force"]);
         assert!(succeed(folder.path(), &arguments).contains(&format!("model {};", model.name())));
     }
+}
+
+#[test]
+fn a_lens_is_replaced_only_if_that_is_wished_and_its_folder_is_looked_at_first() {
+    let folder = boards();
+    let names = names(folder.path());
+    let arguments = arguments(&names, "7x5");
+    fs::write(folder.path().join("lens.toml"), "precious").unwrap();
+    let before = snapshot(folder.path());
+    let output = rigel(folder.path(), &arguments).output().unwrap();
+    assert_refused("a lens that is there", &output, &["lens.toml", "--force"]);
+    let elsewhere = [&arguments[..arguments.len() - 1], &["none/lens.toml"]].concat();
+    assert_refused(
+        "no folder",
+        &rigel(folder.path(), &elsewhere).output().unwrap(),
+        &["none/lens.toml", "path"],
+    );
+    assert_untouched("a refused calibration", &before, &snapshot(folder.path()));
+    succeed(folder.path(), &[&arguments[..], &["--force"]].concat());
+    assert!(Calibration::read(&folder.path().join("lens.toml"), 0.0).is_ok());
+}
+
+/// A comma in a file's name, terms that are not estimated, and fewer boards than one would rely on.
+#[test]
+fn what_is_told_is_what_is_known() {
+    let folder = boards();
+    (4..8).for_each(|i| fs::remove_file(folder.path().join(format!("b{i}.png"))).unwrap());
+    fs::rename(folder.path().join("b0.png"), folder.path().join("b0,1 \"x\".png")).unwrap();
+    let names = names(folder.path());
+    let mut arguments = arguments(&names, "7x5");
+    arguments.extend(["--model", "k1", "--residuals", "residuals"]);
+    let said = succeed(folder.path(), &arguments);
+    let line = |name: &str| said.lines().find(|line| line.trim_start().starts_with(name)).unwrap_or_default();
+    assert!(line("k1 ").contains('±') && line("k3 ").ends_with("0.00000 fixed"), "{said}");
+    assert!(said.contains("calibrated roughly, from too few boards (4;"), "{said}");
+    let table = fs::read_to_string(folder.path().join("residuals/residuals.csv")).unwrap();
+    assert_eq!(table.lines().count(), 1 + 4 * 35);
+    assert!(table.contains("\n\"b0,1 \"\"x\"\".png\",0,0,"), "{}", &table[..200]);
 }
 
 #[test]
@@ -117,8 +155,29 @@ fn boards_that_cannot_be_used_are_named_and_the_others_calibrate() {
 #[test]
 fn what_makes_no_lens_is_refused_in_a_sentence() {
     let all: &[Refused] = &[
-        (|_| {}, "6x4", &["b0.png", "found a grid of 7x5 corners", "6x4 were asked for", "--board 7x5"]),
-        (|_| {}, "8x6", &["b0.png", "found a grid of 7x5 corners", "8x6 were asked for", "--board 7x5"]),
+        (
+            |_| {},
+            "6x4",
+            &[
+                "b0.png",
+                "found a grid of 7x5 corners",
+                "6x4 were asked for",
+                "these boards have 7x5",
+                "--board 7x5",
+            ],
+        ),
+        (
+            |_| {},
+            "8x6",
+            &[
+                "b0.png",
+                "found a grid of 7x5 corners",
+                "8x6 were asked for",
+                "these boards have 7x5",
+                "--board 7x5",
+            ],
+        ),
+        (|_| {}, "7x4", &["found a grid of 7x5 corners", "7x4 were asked for", "these boards have 7x5"]),
         (|_| {}, "7", &["7", "9x6"]),
         (
             |folder| (1..8).for_each(|i| fs::remove_file(folder.join(format!("b{i}.png"))).unwrap()),

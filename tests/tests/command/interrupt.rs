@@ -161,6 +161,19 @@ fn an_import_leaves_nothing() {
     assert_untouched("an interrupted import", &before, &snapshot(folder.path()));
 }
 
+/// Before the first view is there, there is nothing to go on from.
+#[test]
+fn radiance_that_has_not_begun_leaves_nothing() {
+    let folder = workshop();
+    fs::remove_dir_all(folder.path().join("session/radiance")).unwrap();
+    let pipe = folder.path().join("session/photographs/view000_0.png");
+    let photograph = pipe_in_place_of(&pipe);
+    let before = snapshot(folder.path());
+    let child = start(folder.path(), &["radiance", "session", "--response", "srgb"]);
+    assert_interrupted(&interrupt_at(child, &pipe, &photograph));
+    assert_untouched("radiance that has not begun", &before, &snapshot(folder.path()));
+}
+
 #[test]
 fn radiance_goes_on_where_it_stopped() {
     let folder = workshop();

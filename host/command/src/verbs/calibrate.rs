@@ -11,7 +11,7 @@ use rigel::file::write_together;
 use crate::arguments::Calibrate;
 use crate::progress::Bar;
 use crate::say::say;
-use crate::verbs::require_extension;
+use crate::verbs::{require_extension, require_place};
 
 /// How much longer than they are residuals are drawn; columns and rows of the uncertainty.
 const MAGNIFIED: f64 = 100.0;
@@ -19,18 +19,18 @@ const CELLS: (usize, usize) = (32, 24);
 
 /// `rigel calibrate`.
 pub fn calibrate(arguments: &Calibrate) -> Result<()> {
+    let bar = Bar::new("searching");
     require_extension(&arguments.out, "toml")?;
+    require_place(&arguments.out, arguments.force)?;
+    if let Some(folder) = arguments.residuals.as_ref().filter(|folder| !folder.is_dir()) {
+        require_place(folder, false)?;
+    }
     let model = match arguments.model.as_str() {
         "auto" => None,
         name => Some(LensModel::parse(name)?),
     };
-    let calibration = calibrate_photographs(
-        &arguments.photographs,
-        arguments.board,
-        arguments.square_m,
-        model,
-        &Bar::new("searching"),
-    )?;
+    let calibration =
+        calibrate_photographs(&arguments.photographs, arguments.board, arguments.square_m, model, &bar)?;
     tell(&calibration);
     calibration.write(&arguments.out)?;
     say!("wrote {}: {}", arguments.out.display(), calibration.verdict);
@@ -52,11 +52,18 @@ fn tell(calibration: &LensCalibration) {
         if !names.is_empty() {
             say!("{}: left out as far off: {}", board.path.display(), names.join(", "));
         }
+        if let Some(doubt) = calibration.doubt_about(board) {
+            say!("{}: {doubt}", board.path.display());
+        }
     }
     let lens = &calibration.lens;
     let numbers = [lens.fx, lens.fy, lens.cx, lens.cy, lens.k1, lens.k2, lens.p1, lens.p2, lens.k3];
-    for ((name, number), sigma) in LENS_NAMES.iter().zip(numbers).zip(calibration.sigmas()) {
-        say!("{name:>4} {number:>12.5} ± {sigma:.5}");
+    let sigmas = calibration.sigmas().into_iter().zip(calibration.model.estimated());
+    for ((name, number), (sigma, estimated)) in LENS_NAMES.iter().zip(numbers).zip(sigmas) {
+        match estimated {
+            true => say!("{name:>4} {number:>12.5} ± {sigma:.5}"),
+            false => say!("{name:>4} {number:>12.5} fixed"),
+        }
     }
     say!(
         "model {}; {} boards; RMS {:.3} px",
@@ -67,19 +74,16 @@ fn tell(calibration: &LensCalibration) {
 }
 
 fn write_residuals(calibration: &LensCalibration, folder: &Path) -> Result<()> {
-    let mut table = String::from("file,column,row,x_px,y_px,dx_px,dy_px,used\n");
-    let mut arrows = vec![];
-    for board in &calibration.boards {
-        let name = board.path.file_name().unwrap_or_default().to_string_lossy();
-        for fitted in &board.corners {
-            let (at, by, corner) = (fitted.corner.pixel, fitted.residual, &fitted.corner);
-            table += &format!(
-                "{name},{},{},{:.4},{:.4},{:.4},{:.4},{}\n",
-                corner.column, corner.row, at.x, at.y, by.x, by.y, fitted.used
-            );
-            arrows.push(Arrow { at: at.into(), by: by.into(), strong: fitted.used });
-        }
-    }
+    let arrows: Vec<Arrow> = calibration
+        .boards
+        .iter()
+        .flat_map(|board| &board.corners)
+        .map(|fitted| Arrow {
+            at: fitted.corner.pixel.into(),
+            by: fitted.residual.into(),
+            strong: fitted.used,
+        })
+        .collect();
     let size = (calibration.lens.width, calibration.lens.height);
     let caption = format!("residuals, {MAGNIFIED} times as long; RMS {:.3} px", calibration.rms_px);
     let residuals = field(size, &arrows, MAGNIFIED, (&[], (0, 0)), &caption);
@@ -89,7 +93,8 @@ fn write_residuals(calibration: &LensCalibration, folder: &Path) -> Result<()> {
         format!("standard deviation of the projection: {least:.3} px (light) to {most:.3} px (dark)");
     let dots: Vec<Arrow> = arrows.iter().map(|arrow| Arrow { by: (0.0, 0.0), ..*arrow }).collect();
     let sigma = field(size, &dots, 1.0, (&sigmas, CELLS), &caption);
-    let files = [("residuals.csv", table), ("residuals.svg", residuals), ("sigma.svg", sigma)];
+    let files =
+        [("residuals.csv", calibration.residuals_csv()), ("residuals.svg", residuals), ("sigma.svg", sigma)];
     let files: Vec<(String, Vec<u8>)> =
         files.into_iter().map(|(name, text)| (name.into(), text.into_bytes())).collect();
     write_together(folder, &files)

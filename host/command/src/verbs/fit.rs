@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use rigel::calibration::Registration;
 use rigel::evaluate::{evaluate as score, read_references, session_references};
 use rigel::fit::{FitFlags, FitOptions, Model, Reason, candidates};
 use rigel::geometry::{Lens, Pose};
@@ -145,14 +146,32 @@ fn extension(path: &Path) -> String {
     path.extension().unwrap_or_default().to_string_lossy().to_lowercase()
 }
 
+/// What is known of a map that was fitted to some of the views with which it is now compared: a texel that rests on more views than
+/// the session has others.
+fn seen_by_fit(map: &ParameterMap, session: &Session, references: usize) -> Result<Option<String>> {
+    let fitted =
+        map.diagnostics.iter().flat_map(|diagnostics| &diagnostics.views).max().copied().unwrap_or(0);
+    let registered = Registration::of(session)?.map(|registration| registration.views.len());
+    let others = registered.unwrap_or_else(|| session.done_views().len()).saturating_sub(references);
+    let seen = (fitted as usize).saturating_sub(others).min(references);
+    Ok((seen > 0).then(|| {
+        format!(
+            "the fit has seen {} (there are texels that rest on {fitted} views), so the errors flatter it; fit --without them",
+            if seen == references { "all of these views".into() } else { format!("at least {seen} of these {references} views") }
+        )
+    }))
+}
+
 /// `rigel evaluate`.
 pub fn evaluate(arguments: &Evaluate) -> Result<()> {
     let map = ParameterMap::read(&arguments.map)?;
+    let mut seen = None;
     let references = match (&arguments.references, &arguments.session) {
         (Some(list), _) => read_references(list, arguments.pixel_centre)?,
         (None, Some(folder)) => {
             let session = Session::open(folder)?;
             let views = session_views(&session, &arguments.views)?;
+            seen = seen_by_fit(&map, &session, views.len())?;
             session_references(&session, &views).map_err(|error| error.about(folder))?
         }
         (None, None) => {
@@ -182,6 +201,9 @@ pub fn evaluate(arguments: &Evaluate) -> Result<()> {
         evaluation.psnr_db(),
         100.0 * evaluation.median_relative()
     );
+    if let Some(seen) = seen {
+        say!("warning: {seen}");
+    }
     let stem = arguments.map.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let out = arguments.out.clone().unwrap_or_else(|| arguments.map.with_file_name(format!("{stem}-errors")));
     if out.join("session.toml").exists() {

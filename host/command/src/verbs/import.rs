@@ -55,6 +55,7 @@ pub fn import(arguments: &Import) -> Result<()> {
 
 /// `rigel radiance`.
 pub fn radiance(arguments: &Radiance) -> Result<()> {
+    let bar = Bar::new("radiance");
     let session = Session::open(&arguments.session)?;
     let choice = match arguments.response.as_str() {
         "recover" => ResponseChoice::Recover,
@@ -67,8 +68,7 @@ pub fn radiance(arguments: &Radiance) -> Result<()> {
         ExposureTimes::Measured => Times::Measured,
     };
     let options = MeasureOptions { response: choice, times };
-    let measured = measure_with(&session, &options, &Bar::new("radiance"))
-        .map_err(|error| error.about(session.folder()))?;
+    let measured = measure_with(&session, &options, &bar).map_err(|error| error.about(session.folder()))?;
     for time in &measured.corrected {
         say!(
             "note: {} was exposed for {:.4} s by its pixels, not for {:.4} s",

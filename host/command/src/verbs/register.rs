@@ -8,10 +8,15 @@ use rigel::{Error, Result};
 use crate::arguments::Register;
 use crate::progress::Bar;
 use crate::say::say;
+use crate::verbs::require_place;
 
 /// `rigel register`.
 pub fn register(arguments: &Register) -> Result<()> {
+    let bar = Bar::new("registering");
     let session = Session::open(&arguments.session)?;
+    // One that belongs to other radiance is of no use to anybody.
+    let force = arguments.force || matches!(Registration::of(&session), Err(Error::Input { .. }));
+    require_place(&Registration::path(&session), force)?;
     let squares = arguments.squares.as_ref().map(|path| Squares::read(path)).transpose()?;
     let lens = match &arguments.lens {
         Some(path) => {
@@ -21,7 +26,7 @@ pub fn register(arguments: &Register) -> Result<()> {
         }
         None => None,
     };
-    let registration = find(&session, &RegisterOptions { squares, lens }, &Bar::new("registering"))
+    let registration = find(&session, &RegisterOptions { squares, lens }, &bar)
         .map_err(|error: Error| error.about(session.folder()))?;
     registration.write(&session)?;
     summarise(&registration, arguments.squares.is_some());
@@ -30,6 +35,9 @@ pub fn register(arguments: &Register) -> Result<()> {
 }
 
 fn summarise(registration: &Registration, measured: bool) {
+    for note in &registration.notes {
+        say!("warning: {note}");
+    }
     for view in &registration.dropped {
         say!("warning: {} is left out: it {}", view.name, view.reason);
     }

@@ -10,7 +10,7 @@ const GROUPS: usize = 6;
 
 /// A lens whose terms beyond a model are zero.
 pub(super) fn without(lens: &Lens, model: LensModel) -> Lens {
-    let (all, free) = (numbers(lens), model.free());
+    let (all, free) = (numbers(lens), model.estimated());
     let kept: [f64; LENS] = std::array::from_fn(|k| if free[k] { all[k] } else { 0.0 });
     lens_of(lens.width, lens.height, &kept)
 }
@@ -38,13 +38,14 @@ pub(super) fn choose(boards: &[Vec<Sight>], start: &Estimate) -> Option<LensMode
 fn held_out(boards: &[Vec<Sight>], start: &Estimate, model: LensModel) -> Option<Vec<f64>> {
     let groups = GROUPS.min(boards.len());
     let whole = Estimate { lens: without(&start.lens, model), poses: start.poses.clone() };
-    let whole = adjust(boards, whole, model.free(), Loss::Squares)?;
+    let whole = adjust(boards, whole, model.estimated(), Loss::Squares)?;
     let mut errors = vec![0.0; boards.len()];
     for group in 0..groups {
         let part = |held: bool| (0..boards.len()).filter(move |i| (i % groups == group) == held);
         let others: Vec<Vec<Sight>> = part(false).map(|i| boards[i].clone()).collect();
         let poses = part(false).map(|i| whole.poses[i]).collect();
-        let lens = adjust(&others, Estimate { lens: whole.lens, poses }, model.free(), Loss::Squares)?.lens;
+        let lens =
+            adjust(&others, Estimate { lens: whole.lens, poses }, model.estimated(), Loss::Squares)?.lens;
         for i in part(true) {
             let alone = Estimate { lens, poses: vec![whole.poses[i]] };
             let posed = adjust(&boards[i..=i], alone, [false; LENS], Loss::Squares)?;

@@ -32,7 +32,7 @@ pub(super) fn doubt(boards: &[Vec<Sight>], estimate: &Estimate, model: LensModel
         .flatten()
         .map(DVec2::length_squared)
         .sum();
-    let free = model.free();
+    let free = model.estimated();
     let unknowns = 6 * boards.len() + free.iter().filter(|free| **free).count();
     let count: usize = boards.iter().map(Vec::len).sum();
     let freedom = (2 * count).checked_sub(unknowns).filter(|freedom| *freedom > 0)?;

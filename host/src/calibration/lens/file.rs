@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::project::numbers;
-use super::{LENS_NAMES, LensCalibration, LensCovariance};
+use super::{FittedCorner, LENS_NAMES, LensCalibration, LensCovariance};
 use crate::file::write_bytes;
 use crate::{Error, Result};
 
@@ -83,6 +83,26 @@ impl LensCalibration {
         toml::to_string(&file).map_err(|error| {
             Error::request(format!("the lens cannot be written ({error})"), "photograph more boards")
         })
+    }
+
+    /// Every corner with its residual as CSV: `file,column,row,x_px,y_px,dx_px,dy_px,used`.
+    pub fn residuals_csv(&self) -> String {
+        let mut table = csv::Writer::from_writer(vec![]);
+        let header = ["file", "column", "row", "x_px", "y_px", "dx_px", "dy_px", "used"].map(String::from);
+        let rows = self.boards.iter().flat_map(|board| {
+            let name = board.path.file_name().unwrap_or_default().to_string_lossy();
+            board.corners.iter().map(move |FittedCorner { corner, residual, used }| {
+                let [x, y, dx, dy] =
+                    [corner.pixel.x, corner.pixel.y, residual.x, residual.y].map(|px| format!("{px:.4}"));
+                let (column, row) = (corner.column.to_string(), corner.row.to_string());
+                [name.to_string(), column, row, x, y, dx, dy, used.to_string()]
+            })
+        });
+        for row in std::iter::once(header).chain(rows) {
+            table.write_record(row).expect("rows of one length go into memory");
+        }
+        let bytes = table.into_inner().expect("memory takes all that is written");
+        String::from_utf8(bytes).expect("text was written")
     }
 
     /// Writes [`Self::to_toml`].

@@ -11,6 +11,7 @@ use super::start::start;
 use super::verdict::{refuse_unknown_focal_length, verdict};
 use super::{BoardFit, DroppedBoard, FittedCorner, LensCalibration, LensModel};
 use crate::calibration::chessboard::BoardCorner;
+use crate::calibration::median;
 use crate::{Error, Result};
 
 /// Fewer boards tell a lens from a tilt only by luck.
@@ -73,7 +74,7 @@ pub fn calibrate_lens(
         for _ in 0..2 {
             let typical = typical_lengths(&boards, &estimate).ok_or_else(nonsense)?;
             let half = (2.385 * median(&typical.concat()) / MEDIAN_LENGTH).max(1e-6);
-            if let Some(better) = adjust(&boards, estimate.clone(), largest.free(), Loss::Cauchy(half)) {
+            if let Some(better) = adjust(&boards, estimate.clone(), largest.estimated(), Loss::Cauchy(half)) {
                 estimate = better;
             }
         }
@@ -105,7 +106,7 @@ pub fn calibrate_lens(
         None => choose(&boards, &estimate).ok_or_else(nonsense)?,
     };
     estimate.lens = super::choose::without(&estimate.lens, model);
-    let estimate = adjust(&boards, estimate, model.free(), Loss::Squares).ok_or_else(nonsense)?;
+    let estimate = adjust(&boards, estimate, model.estimated(), Loss::Squares).ok_or_else(nonsense)?;
     let doubt = doubt(&boards, &estimate, model);
     refuse_unknown_focal_length(&first, &estimate, doubt.as_ref())?;
     let Doubt { covariance, excess, rms_px } = doubt.ok_or_else(nonsense)?;
@@ -163,10 +164,4 @@ fn typical_lengths(boards: &[Vec<Sight>], estimate: &Estimate) -> Option<Vec<Vec
         Some(residuals(&estimate.lens, pose, sights)?.into_iter().map(DVec2::length).collect())
     };
     boards.iter().zip(&estimate.poses).map(of_board).collect()
-}
-
-fn median(values: &[f64]) -> f64 {
-    let mut values = values.to_vec();
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }

@@ -56,7 +56,9 @@ pub fn calibrate_photographs(
         agree(path, one, first, &seen[0])?;
     }
     let whole = seen.iter().filter(|one| matches!(one.sighting, Sighting::Whole(_))).count();
-    if whole == 0 {
+    let others = seen.iter().filter(|one| matches!(one.sighting, Sighting::Other(_))).count();
+    // A board of another size that is partly hidden passes for a whole one.
+    if whole < others || whole == 0 {
         refuse_size(paths, &seen, board)?;
     }
     let (mut views, mut dropped) = (vec![], vec![]);
@@ -121,7 +123,11 @@ fn agree(path: &Path, one: &Seen, first: &Path, other: &Seen) -> Result<()> {
     }
 }
 
-/// Where no photograph shows the whole board, most of them may show another one.
+/// So many photographs (or a fifth of them) that show a grid of the same size do not err.
+const AGREEING: usize = 3;
+
+/// Where hardly any photograph shows the whole board, most of them may show another one. Its size is the largest that several show:
+/// boards that are partly hidden show less of it.
 fn refuse_size(paths: &[PathBuf], seen: &[Seen], board: BoardSize) -> Result<()> {
     let found = |one: &Seen| match &one.sighting {
         Sighting::Other(size) => Some(*size),
@@ -131,12 +137,15 @@ fn refuse_size(paths: &[PathBuf], seen: &[Seen], board: BoardSize) -> Result<()>
     let sizes: Vec<(usize, BoardSize)> =
         seen.iter().enumerate().filter_map(|(i, one)| Some((i, found(one)?))).collect();
     let votes = |size: BoardSize| sizes.iter().filter(|(_, other)| *other == size).count();
-    let Some(&(at, size)) = sizes.iter().max_by_key(|(i, size)| (votes(*size), std::cmp::Reverse(*i))) else {
+    let enough = AGREEING.min(sizes.len().div_ceil(5));
+    let largest = sizes.iter().filter(|(_, size)| votes(*size) >= enough);
+    let Some(&(at, size)) = largest.max_by_key(|(i, size)| (size.count(), std::cmp::Reverse(*i))) else {
         return Ok(());
     };
-    let (path, others) = (&paths[at], votes(size));
+    let path = &paths[at];
     let what = format!("found a grid of {size} corners, {board} were asked for");
-    if 2 * others > sizes.len() {
+    if votes(size) >= AGREEING {
+        let what = format!("{what}: these boards have {size} corners");
         return Err(Error::input(path, what, format!("give --board {size}, or photograph the whole board")));
     }
     Err(Error::input(path, format!("{what}, and no photograph shows them all"), "photograph the whole board"))

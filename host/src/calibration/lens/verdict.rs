@@ -4,9 +4,10 @@ use std::path::Path;
 
 use glam::{DVec2, DVec3};
 
-use super::LensCalibration;
 use super::adjust::Estimate;
 use super::doubt::Doubt;
+use super::{BoardFit, LensCalibration};
+use crate::calibration::median;
 use crate::{Error, Result};
 
 /// The focal length counts as known when its standard deviation is this share of it.
@@ -19,6 +20,36 @@ const COVERED: f64 = 0.15;
 const SURE_PX: f64 = 0.25;
 /// Boards that contradict each other by this factor more than the noise of their corners are worth a word.
 const BENT: f64 = 1.5;
+
+/// Fewer boards may agree by chance.
+const ENOUGH_BOARDS: usize = 6;
+/// A focal length that is less sure than this share of it, or things that are, in pixels, are known roughly only.
+const ROUGH_FOCAL_LENGTH: f64 = 0.01;
+const ROUGH_PX: f64 = 1.5;
+/// Corners of sharp photographs of a flat board are nearer than this to where the lens shows them (median), pixels.
+const COARSE_PX: f64 = 0.25;
+/// A board is coarser than the others when its corners are so many times as far off, and blurred when they are so many times as
+/// blurred.
+const COARSER: f64 = 2.0;
+const MORE_BLURRED: f64 = 1.4;
+
+/// What is doubtful of a board that takes part in a calibration; `None` where it is like the others.
+pub(super) fn doubt_about(calibration: &LensCalibration, board: &BoardFit) -> Option<String> {
+    let of_all =
+        |of: &dyn Fn(&BoardFit) -> f64| median(&calibration.boards.iter().map(of).collect::<Vec<_>>());
+    let blur = |board: &BoardFit| median(&board.corners.iter().map(|c| c.corner.blur_px).collect::<Vec<_>>());
+    let (typical, usual) = (board.typical_px(), of_all(&BoardFit::typical_px));
+    let (blurred, blur_usual) = (blur(board), of_all(&blur));
+    let why = match blurred > MORE_BLURRED * blur_usual {
+        true => format!("it is more blurred ({blurred:.1} px, {blur_usual:.1} px is usual)"),
+        false => "it may be bent, or have moved meanwhile".into(),
+    };
+    (typical > (COARSER * usual).max(0.6 * COARSE_PX)).then(|| {
+        format!(
+            "its corners are {typical:.2} px off where {usual:.2} px is usual: {why}; photograph it again"
+        )
+    })
+}
 
 /// Refuses boards that do not tell the focal length.
 pub(super) fn refuse_unknown_focal_length(
@@ -72,12 +103,24 @@ pub(super) fn verdict(calibration: &LensCalibration) -> String {
         })
         .map(|((name, _), _)| *name)
         .collect();
+    let count = calibration.boards.len();
+    let focal = calibration.sigmas()[0] / lens.fx;
+    let found = if count < ENOUGH_BOARDS {
+        format!("calibrated roughly, from too few boards ({count}; take ten or more)")
+    } else if focal > ROUGH_FOCAL_LENGTH || typical > ROUGH_PX {
+        format!(
+            "calibrated roughly (the focal length is known to {:.1} %; tilt the board more and go nearer)",
+            100.0 * focal
+        )
+    } else {
+        "calibrated".into()
+    };
     let mut text = match worst.is_finite() {
         true => format!(
-            "calibrated: things are shown where they are to within {typical:.2} px, and {worst:.2} px in the corners of the picture"
+            "{found}: things are shown where they are to within {typical:.2} px, and {worst:.2} px in the corners of the picture"
         ),
         false => {
-            "calibrated where the boards were; the lens shows nothing in the corners of the picture".into()
+            format!("{found} where the boards were; the lens shows nothing in the corners of the picture")
         }
     };
     match bare.len() {
@@ -93,6 +136,12 @@ pub(super) fn verdict(calibration: &LensCalibration) -> String {
                 "; the {others} and {last} corners of the picture were not covered: tilt the board there"
             );
         }
+    }
+    let usual = median(&calibration.boards.iter().map(BoardFit::typical_px).collect::<Vec<_>>());
+    if usual > COARSE_PX {
+        text += &format!(
+            "; the corners are {usual:.2} px from where the lens shows them, where 0.1 px is usual: the photographs are blurred or much compressed, or the board is not flat"
+        );
     }
     if calibration.excess.sqrt() > BENT {
         text += &format!(

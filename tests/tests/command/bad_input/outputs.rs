@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use super::common::{assert_refused, assert_untouched, rigel, snapshot, workshop};
+use super::common::{assert_refused, assert_untouched, rigel, snapshot, succeed, workshop};
 use super::*;
 
 #[test]
@@ -66,6 +66,39 @@ fn outputs_that_cannot_be_written() {
     cases.push(Case { spoil: is_a_folder, arguments: to(FIT, "file"), names: &["file"] });
     cases.push(Case { spoil: nothing, arguments: to(RENDER, "/proc/out.exr"), names: &["/proc/out.exr"] });
     hold(&cases);
+}
+
+/// Squares cost an hour; a registration without them must not take the place of one with them.
+#[test]
+fn a_registration_is_replaced_only_if_that_is_wished_or_it_is_of_no_use() {
+    let folder = workshop();
+    let folder = folder.path();
+    let register = ["register", "session"];
+    succeed(folder, &register);
+    let before = snapshot(folder);
+    assert_refused(
+        "a second time",
+        &rigel(folder, &register).output().unwrap(),
+        &["registration.toml", "--force"],
+    );
+    assert_untouched("a second time", &before, &snapshot(folder));
+    succeed(folder, &["register", "session", "--force"]);
+    // It belongs to the radiance from which it was made.
+    succeed(folder, &["radiance", "session", "--response", "linear"]);
+    succeed(folder, &register);
+}
+
+#[test]
+fn views_that_the_fit_has_seen_are_told() {
+    let folder = workshop();
+    let folder = folder.path();
+    let evaluate = ["evaluate", "phong.exr", "--session", "session", "--views", "view001,view002"];
+    assert!(succeed(folder, &evaluate).contains("warning: the fit has seen all of these views"));
+    let fit = ["fit", "session/observations.rigel", "--model", "constant", "--out", "phong.exr"];
+    succeed(folder, &[&fit[..], &["--without", "view001"]].concat());
+    assert!(succeed(folder, &evaluate).contains("the fit has seen at least 1 of these 2 views"));
+    succeed(folder, &[&fit[..], &["--without", "view001,view002"]].concat());
+    assert!(!succeed(folder, &evaluate).contains("warning"));
 }
 
 /// A slip in --out must not cost a session or its observations.

@@ -50,6 +50,19 @@ fn sessions_that_are_none_or_damaged() {
             names: &["journal.jsonl", "view 99", "restore"],
         },
         Case {
+            spoil: |folder| {
+                let path = folder.join("session/journal.jsonl");
+                let text = fs::read_to_string(&path).unwrap();
+                let at = text.find("view002_1").unwrap();
+                let text = text[..at].to_owned()
+                    + &text[at..].replacen("\"exposure_s\":0.01", "\"exposure_s\":null", 1);
+                let lines = text.lines().map(|line| line.split(",\"crc\"").next().unwrap());
+                fs::write(path, lines.map(|line| format!("{line}}}\n")).collect::<String>()).unwrap();
+            },
+            arguments: RADIANCE,
+            names: &["view002_1.png", "has no exposure time", "view000_0.png", "import again"],
+        },
+        Case {
             spoil: |folder| cut(&folder.join("session/session.toml"), 0.4),
             arguments: RADIANCE,
             names: &["session.toml"],
