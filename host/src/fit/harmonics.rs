@@ -26,6 +26,7 @@ pub use stability::Stability;
 /// The most coefficients of one channel.
 pub const MOST: usize = 100;
 /// One more than the highest degree of any basis.
+pub static STEPS_TAKEN: std::sync::atomic::AtomicUsize = std::sync::atomic::AtomicUsize::new(0); // DEBUG
 const ORDERS: usize = 14;
 
 /// Which harmonics, and how their coefficients are found.

@@ -11,7 +11,10 @@ use glam::DVec3;
 use nalgebra::DMatrix;
 
 use super::basis::{Basis, Number, Rule};
-use super::kernel::{Packed, Rgb, Scratch, matrix_product, normal_product, transposed_product};
+use super::kernel::{
+    Design, Packed, Rgb, Room, advance, energy, matrix_product, normal_product, settle, tally,
+    transposed_product, weigh_observations,
+};
 use super::lanes::{LANES, Lane};
 use super::penalty::{self, Normal};
 use super::positive::Positive;
@@ -24,6 +27,9 @@ const ACCURACY: f32 = 0.1;
 const STEPS: usize = 16;
 /// So many texels of a tile stand for it.
 const STAND_FOR_A_TILE: usize = 64;
+/// Eight neighbours take one direction for each view where theirs are within this of their mean (0.1 degrees): it turns
+/// what they are fitted to by less than that.
+const SHARED_WITHIN: f32 = 0.1 * std::f32::consts::PI / 180.0;
 /// How sure the expected errors are, in observations: they count beside the residuals of a texel with few views.
 const PRIOR_FREEDOM: f32 = 4.0;
 
@@ -36,6 +42,17 @@ pub struct Weighing {
     pub floor: f64,
     /// Observations that disagree with the rest count less (Huber weights).
     pub robust: bool,
+}
+
+impl Weighing {
+    /// 0 for what cannot be weighed.
+    #[inline(always)]
+    pub(super) fn weight(&self, [r, g, b]: [f32; 3], sigma: f32) -> f32 {
+        let model = self.relative_error as f32 * (r + g + b) * (1.0 / 3.0);
+        let floor = self.floor as f32;
+        let weight = 1.0 / (sigma * sigma + model * model + floor * floor);
+        if weight > 0.0 && weight < f32::INFINITY { weight } else { 0.0 }
+    }
 }
 
 /// One texel's smooth fit.
@@ -91,6 +108,7 @@ pub struct Smooth {
     pub(super) prior: DMatrix<f64>,
     prior_single: Vec<f32>,
     positive: Positive,
+    shared_within: f32,
 }
 
 /// The tile's mean system.
@@ -133,6 +151,7 @@ impl Smooth {
             prior_single: single(&prior),
             prior,
             positive: Positive::new(basis, order),
+            shared_within: SHARED_WITHIN,
         }
     }
 
@@ -154,7 +173,12 @@ impl Smooth {
         let mut views: Vec<(DVec3, f64)> = Vec::new();
         let stride = texels.len().div_ceil(STAND_FOR_A_TILE).max(1);
         for texel in texels.iter().step_by(stride) {
-            let weights: Vec<f64> = (0..texel.len()).map(|i| f64::from(self.weight(texel, i))).collect();
+            let weight = |i: usize| {
+                let (direction, radiance, sigma) = (texel.direction[i], texel.radiance[i], texel.sigma[i]);
+                let seen = direction.to_array().into_iter().chain(radiance).all(f32::is_finite);
+                if seen { f64::from(self.weighing.weight(radiance, sigma)) } else { 0.0 }
+            };
+            let weights: Vec<f64> = (0..texel.len()).map(weight).collect();
             let total: f64 = weights.iter().sum();
             for ((view, direction), weight) in texel.view.iter().zip(&texel.direction).zip(weights) {
                 if weight > 0.0 {
@@ -180,16 +204,6 @@ impl Smooth {
         Shared { inverse: single(&spread.inverse), freedom, spread }
     }
 
-    fn weight(&self, texel: &TexelObservations, i: usize) -> f32 {
-        let [r, g, b] = texel.radiance[i];
-        let model = self.weighing.relative_error as f32 * (r + g + b) / 3.0;
-        let floor = self.weighing.floor as f32;
-        let sigma = texel.sigma[i];
-        let weight = (sigma * sigma + model * model + floor * floor).recip();
-        let usable = r.is_finite() && g.is_finite() && b.is_finite() && texel.direction[i].is_finite();
-        if usable && weight.is_finite() { weight } else { 0.0 }
-    }
-
     fn pack(&self, group: &[&TexelObservations], packed: &mut Packed, rows: &mut Vec<usize>) {
         rows.clear();
         for texel in group {
@@ -205,27 +219,25 @@ impl Smooth {
         }
         packed.start(count);
         for (lane, texel) in group.iter().enumerate() {
-            for (i, view) in texel.view.iter().enumerate() {
-                let weight = self.weight(texel, i);
-                if weight <= 0.0 {
-                    continue;
-                }
+            let observations = texel.view.iter().zip(&texel.direction).zip(&texel.radiance).zip(&texel.sigma);
+            for (((view, direction), radiance), sigma) in observations {
                 let row = rows[*view as usize];
-                let place = self.basis.place(texel.direction[i].as_dvec3());
-                packed.x[row].0[lane] = place.x as f32;
-                packed.y[row].0[lane] = place.y as f32;
-                packed.z[row].0[lane] = place.z as f32;
-                packed.weight[row].0[lane] = weight;
+                packed.x[row].0[lane] = direction.x;
+                packed.y[row].0[lane] = direction.y;
+                packed.z[row].0[lane] = direction.z;
                 for c in 0..3 {
-                    packed.radiance[row][c].0[lane] = texel.radiance[i][c];
+                    packed.radiance[row][c].0[lane] = radiance[c];
                 }
+                packed.weight[row].0[lane] = *sigma;
             }
         }
+        weigh_observations(packed, &self.weighing);
+        settle(packed, self.basis, &self.rule, self.basis.count(self.order), self.shared_within);
     }
 
     fn fit_group(&self, group: &[&TexelObservations], shared: &Shared, work: &mut Work) -> Vec<SmoothFit> {
         self.pack(group, &mut work.packed, &mut work.rows);
-        let mut expected = work.packed.weight.clone();
+        let expected = work.packed.weight.clone();
         let total = sum(expected.iter().copied());
         let views = sum(expected.iter().map(|w| Lane::of(|i| f32::from(u8::from(w.0[i] > 0.0)))));
         let inverse_total = Lane::of(|i| if total.0[i] > 0.0 { 1.0 / total.0[i] } else { 0.0 });
@@ -252,7 +264,7 @@ impl Smooth {
                 &self.rule,
                 &work.packed,
                 &work.found,
-                &mut work.scratch,
+                &mut work.room,
                 &mut work.predicted,
                 &mut work.product,
             );
@@ -262,34 +274,19 @@ impl Smooth {
                 *missing = std::array::from_fn(|c| seen[c].minus(predicted[c]));
             }
         }
-        // A texel that a view did not see has radiance 0 there and no weight.
-        for (missing, weight) in work.missing.iter_mut().zip(&mut expected) {
-            for channel in missing {
-                *channel = Lane::of(|i| if weight.0[i] > 0.0 { channel.0[i] } else { 0.0 });
-            }
-        }
-        let fits = group.iter().enumerate().map(|(lane, _)| {
-            let (mut weighted, mut squares, mut energy, mut misfit) = (0.0, 0.0, 0.0, [0.0_f32; 3]);
-            for (row, missing) in work.missing.iter().enumerate() {
-                for c in 0..3 {
-                    let square = missing[c].0[lane].powi(2);
-                    weighted += expected[row].0[lane] * square;
-                    misfit[c] += work.packed.weight[row].0[lane] * square;
-                    squares += square;
-                    energy += work.packed.radiance[row][c].0[lane].powi(2);
-                }
-            }
+        let (weighted, misfit, squares, energy) = tally(&expected, &work.packed, &work.missing);
+        let fits = (0..group.len()).map(|lane| {
             let n = views.0[lane];
             let left = (n - shared.freedom).max(0.0) + PRIOR_FREEDOM;
             let prior = PRIOR_FREEDOM * inverse_total.0[lane];
             SmoothFit {
                 parameters: work.found.iter().flat_map(|rgb| rgb.map(|channel| channel.0[lane])).collect(),
-                residual: (weighted / (3.0 * n).max(1.0)).sqrt(),
-                relative_residual: (squares / energy.max(f32::MIN_POSITIVE)).sqrt(),
+                residual: (weighted.0[lane] / (3.0 * n).max(1.0)).sqrt(),
+                relative_residual: (squares.0[lane] / energy.0[lane].max(f32::MIN_POSITIVE)).sqrt(),
                 views: n as u32,
                 converged: converged[lane],
                 held: held[lane],
-                variance: misfit.map(|misfit| (misfit + prior) / left),
+                variance: misfit.map(|misfit| (misfit.0[lane] + prior) / left),
                 spread: shared.spread.clone(),
             }
         });
@@ -298,33 +295,28 @@ impl Smooth {
 
     /// Conjugate gradients from `work.found`, for which `work.missing` is what the views saw more than it predicts.
     fn search(&self, shared: &Shared, views: &Lane, work: &mut Work) -> [bool; LANES] {
-        let Work { packed, scratch, missing, predicted, found, residue, step, product, prior, turned, .. } =
+        let Work { packed, room, missing, predicted, found, residue, step, product, prior, turned, .. } =
             work;
-        transposed_product(&self.rule, packed, missing, scratch, residue);
+        transposed_product(&self.rule, packed, missing, room, residue);
         matrix_product(&self.prior_single, found, prior);
-        let mut objective: Rgb = std::array::from_fn(|c| {
-            let misfit =
-                packed.weight.iter().zip(missing.iter()).map(|(w, miss)| w.times(miss[c]).times(miss[c]));
-            sum(misfit).plus(sum(found.iter().zip(prior.iter()).map(|(a, b)| a[c].times(b[c]))))
-        });
-        let energy: Rgb = std::array::from_fn(|c| {
-            sum(packed.weight.iter().zip(&packed.radiance).map(|(w, l)| w.times(l[c]).times(l[c])))
-        });
+        let mut objective = plus(&energy(&packed.weight, missing), &inner(found, prior));
+        let energy = energy(&packed.weight, &packed.radiance);
         residue.iter_mut().zip(prior.iter()).for_each(|(to, from)| *to = minus(to, from));
         matrix_product(&shared.inverse, residue, turned);
         step.copy_from_slice(turned);
         let mut height = inner(residue, turned);
         let mut converged = [false; LANES];
         for _ in 0..STEPS {
-            normal_product(&self.rule, packed, step, scratch, predicted, product);
+            super::STEPS_TAKEN.fetch_add(1, std::sync::atomic::Ordering::Relaxed); // DEBUG
+            normal_product(&self.rule, packed, step, room, predicted, product);
             matrix_product(&self.prior_single, step, prior);
             product.iter_mut().zip(prior.iter()).for_each(|(to, from)| *to = plus(to, from));
             let curve = inner(step, product);
             let length: Rgb = std::array::from_fn(|c| ratio(height[c], curve[c]));
-            add(found, step, &length);
+            advance(found, step, &length);
             let back = length.map(|l| Lane::ZERO.minus(l));
-            add(residue, product, &back);
-            add(missing, predicted, &back);
+            advance(residue, product, &back);
+            advance(missing, predicted, &back);
             for c in 0..3 {
                 objective[c] = objective[c].minus(length[c].times(height[c]));
             }
@@ -404,7 +396,7 @@ struct Work {
     packed: Packed,
     rows: Vec<usize>,
     misses: Vec<f32>,
-    scratch: Scratch,
+    room: Room,
     missing: Vec<Rgb>,
     predicted: Vec<Rgb>,
     found: Vec<Rgb>,
@@ -419,10 +411,10 @@ impl Work {
     fn new(count: usize) -> Self {
         let rgb = || vec![[Lane::ZERO; 3]; count];
         Self {
-            packed: Packed::default(),
+            packed: Packed::new(),
             rows: Vec::new(),
             misses: Vec::new(),
-            scratch: vec![Default::default(); count],
+            room: Room::new(count),
             missing: Vec::new(),
             predicted: Vec::new(),
             found: rgb(),
@@ -451,12 +443,6 @@ fn plus(a: &Rgb, b: &Rgb) -> Rgb {
 
 fn minus(a: &Rgb, b: &Rgb) -> Rgb {
     std::array::from_fn(|c| a[c].minus(b[c]))
-}
-
-fn add(to: &mut [Rgb], from: &[Rgb], factor: &Rgb) {
-    for (to, from) in to.iter_mut().zip(from) {
-        *to = std::array::from_fn(|c| to[c].plus(from[c].times(factor[c])));
-    }
 }
 
 /// 0 where there is nothing left to divide.
