@@ -26,7 +26,6 @@ pub use stability::Stability;
 /// The most coefficients of one channel.
 pub const MOST: usize = 100;
 /// One more than the highest degree of any basis.
-pub static STEPS_TAKEN: std::sync::atomic::AtomicUsize = std::sync::atomic::AtomicUsize::new(0); // DEBUG
 const ORDERS: usize = 14;
 
 /// Which harmonics, and how their coefficients are found.
@@ -59,6 +58,11 @@ impl HarmonicsMethod {
             Self::Hemispherical => Basis::Stretched,
             Self::Smoothed | Self::ZeroHemisphere | Self::Lsop => Basis::Sphere,
         }
+    }
+
+    /// Whether there is a better method in every respect, and it is kept to be compared with.
+    pub fn is_for_comparison(self) -> bool {
+        matches!(self, Self::Smoothed | Self::ZeroHemisphere | Self::Lsop)
     }
 
     /// The orders that have a name: 15, 36, 66 and 91 coefficients for [`Self::Mirrored`], else 16, 36, 64 and 100.

@@ -175,7 +175,7 @@ fn harmonics_are_orthonormal_on_the_sphere() {
     let count = 20_000;
     for up in harmonics::hemisphere(count) {
         for direction in [up, -up] {
-            harmonics::basis(10, direction, row.as_mut_slice());
+            harmonics::Basis::Sphere.at(10, direction, row.as_mut_slice());
             gram.ger(2.0 * std::f64::consts::PI / f64::from(count as u32), &row, &row, 1.0);
         }
     }

@@ -44,10 +44,8 @@ pub fn fit(arguments: &Fit) -> Result<()> {
             (fit_surface(&map, model, &options, &without, &Bar::new("fitting"))?, model.name())
         }
     };
-    let out = arguments
-        .out
-        .clone()
-        .unwrap_or_else(|| arguments.observations.with_file_name(format!("{name}.exr")));
+    let out =
+        arguments.out.clone().unwrap_or_else(|| arguments.observations.with_file_name(format!("{name}.exr")));
     require_extension(&out, "exr")?;
     fitted.write(&out)?;
     say!("wrote {}: {}, {:.1} bytes per texel", out.display(), fitted.name(), fitted.bytes_per_texel());

@@ -34,7 +34,9 @@ impl Packed {
     pub fn start(&mut self, views: usize) {
         // Until the observations are weighed, a standard deviation stands for the weight.
         let none = f32::NAN;
-        for (to, value) in [(&mut self.x, 0.0), (&mut self.y, 0.0), (&mut self.z, 1.0), (&mut self.weight, none)] {
+        for (to, value) in
+            [(&mut self.x, 0.0), (&mut self.y, 0.0), (&mut self.z, 1.0), (&mut self.weight, none)]
+        {
             to.clear();
             to.resize(views, Lane([value; LANES]));
         }
@@ -268,7 +270,11 @@ pub(super) fn settle(packed: &mut Packed, basis: Basis, rule: &Rule<f32>, count:
         packed.design = Design::Own;
         for row in 0..n {
             for i in 0..LANES {
-                let own = DVec3::new(packed.x[row].0[i].into(), packed.y[row].0[i].into(), packed.z[row].0[i].into());
+                let own = DVec3::new(
+                    packed.x[row].0[i].into(),
+                    packed.y[row].0[i].into(),
+                    packed.z[row].0[i].into(),
+                );
                 let place = basis.place(own);
                 (packed.x[row].0[i], packed.y[row].0[i], packed.z[row].0[i]) =
                     (place.x as f32, place.y as f32, place.z as f32);

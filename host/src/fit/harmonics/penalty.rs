@@ -102,12 +102,7 @@ pub(super) fn choose(normals: &[Normal], rough: &DVector<f64>, hole: &DMatrix<f6
 
 /// Logarithm of the score of each weight. All weights share one decomposition: in the system's own coordinates at the
 /// least weight, the roughness is diagonal.
-fn scores_of(
-    normal: &Normal,
-    rough: &DVector<f64>,
-    hole: &DMatrix<f64>,
-    ladder: &[f64],
-) -> Option<Vec<f64>> {
+fn scores_of(normal: &Normal, rough: &DVector<f64>, hole: &DMatrix<f64>, ladder: &[f64]) -> Option<Vec<f64>> {
     let rough = DMatrix::from_diagonal(rough);
     let lower = system(&(&normal.gram + hole + &rough * ladder[0]))?.unpack();
     let into = |matrix: &DMatrix<f64>| {

@@ -10,6 +10,7 @@ use std::sync::Arc;
 use glam::DVec3;
 use nalgebra::DMatrix;
 
+use super::HarmonicsMethod;
 use super::basis::{Basis, Number, Rule};
 use super::kernel::{
     Design, Packed, Rgb, Room, advance, energy, matrix_product, normal_product, settle, tally,
@@ -119,17 +120,22 @@ struct Shared {
 }
 
 impl Smooth {
-    /// Prepares for a surface of which `sample` holds some texels. `penalty`: weight of the smoothness; `None`: chosen by
-    /// generalised cross-validation on the sample.
-    pub(in crate::fit) fn new(
-        basis: Basis,
-        order: usize,
+    /// Prepares for a surface of which `sample` holds some texels. `order`: one more than the highest degree. `penalty`:
+    /// weight of the smoothness; `None`: chosen by generalised cross-validation on the sample; 0: plain least squares.
+    pub fn new(
+        method: HarmonicsMethod,
+        order: u8,
         penalty: Option<f64>,
         weighing: Weighing,
         sample: &[TexelObservations],
     ) -> Self {
+        let (basis, order) = (method.basis(), usize::from(order));
         let rough = penalty::roughness(basis, order);
-        let hole = penalty::hole_slope(basis, order, &views_of(sample));
+        // Without any penalty it is plain least squares.
+        let hole = match penalty {
+            Some(0.0) => DMatrix::zeros(rough.len(), rough.len()),
+            _ => penalty::hole_slope(basis, order, &views_of(sample)),
+        };
         let penalty = penalty.unwrap_or_else(|| {
             let stride = sample.len().div_ceil(64).max(1);
             let normals: Vec<Normal> = sample
@@ -158,6 +164,14 @@ impl Smooth {
     /// The weight of the smoothness.
     pub fn penalty(&self) -> f64 {
         self.penalty
+    }
+
+    /// One texel's coefficients (k x 3) in double precision, without sharing anything and without holding them above zero:
+    /// what [`Smooth::fit_tile`] comes close to. For bases whose systems are too ill-conditioned for less, and for tests.
+    pub(in crate::fit) fn fit_alone(&self, samples: &Samples) -> Option<DMatrix<f64>> {
+        let Samples { directions, radiance, weights } = samples;
+        let normal = penalty::normal(self.basis, self.order, directions, radiance, weights);
+        penalty::system(&(normal.gram + &self.prior)).map(|factor| factor.solve(&normal.right))
     }
 
     /// Fits texels that lie beside each other, in order. Texels without any usable observation are black.
@@ -275,12 +289,27 @@ impl Smooth {
             }
         }
         let (weighted, misfit, squares, energy) = tally(&expected, &work.packed, &work.missing);
+        let mut parameters = |lane: usize| -> Vec<f32> {
+            let own: Vec<f32> =
+                work.found.iter().flat_map(|rgb| rgb.map(|channel| channel.0[lane])).collect();
+            if own.iter().all(|value| value.is_finite()) {
+                return own;
+            }
+            converged[lane] = false;
+            let mut constant = vec![0.0; own.len()];
+            for c in 0..3 {
+                let value = mean[c].0[lane].max(0.0) * self.basis.one() as f32;
+                constant[c] = if value.is_finite() { value } else { 0.0 };
+            }
+            constant
+        };
         let fits = (0..group.len()).map(|lane| {
+            let parameters = parameters(lane);
             let n = views.0[lane];
             let left = (n - shared.freedom).max(0.0) + PRIOR_FREEDOM;
             let prior = PRIOR_FREEDOM * inverse_total.0[lane];
             SmoothFit {
-                parameters: work.found.iter().flat_map(|rgb| rgb.map(|channel| channel.0[lane])).collect(),
+                parameters,
                 residual: (weighted.0[lane] / (3.0 * n).max(1.0)).sqrt(),
                 relative_residual: (squares.0[lane] / energy.0[lane].max(f32::MIN_POSITIVE)).sqrt(),
                 views: n as u32,
@@ -307,7 +336,6 @@ impl Smooth {
         let mut height = inner(residue, turned);
         let mut converged = [false; LANES];
         for _ in 0..STEPS {
-            super::STEPS_TAKEN.fetch_add(1, std::sync::atomic::Ordering::Relaxed); // DEBUG
             normal_product(&self.rule, packed, step, room, predicted, product);
             matrix_product(&self.prior_single, step, prior);
             product.iter_mut().zip(prior.iter()).for_each(|(to, from)| *to = plus(to, from));
