@@ -137,7 +137,7 @@ impl Fitter {
     /// missing or doubtful is flagged.
     pub fn fit_tile(&self, texels: &[&TexelObservations]) -> Vec<TexelFit> {
         match (&self.smooth, self.model) {
-            (Some(smooth), Model::Harmonics { method, .. }) if !method.is_for_comparison() => {
+            (Some(smooth), Model::Harmonics { method, .. }) if method.is_on_the_hemisphere() => {
                 let fits = smooth.fit_tile(texels).into_iter().zip(texels);
                 fits.map(|(fit, texel)| self.smooth_fit(fit, texel)).collect()
             }

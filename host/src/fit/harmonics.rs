@@ -12,6 +12,8 @@ mod penalty;
 mod positive;
 mod smooth;
 mod stability;
+#[cfg(test)]
+mod tests;
 
 use std::f64::consts::PI;
 
@@ -60,14 +62,28 @@ impl HarmonicsMethod {
         }
     }
 
-    /// Whether there is a better method in every respect, and it is kept to be compared with.
+    /// Whether its functions are those of the hemisphere: their systems are well-posed, and fitted tile by tile.
+    pub fn is_on_the_hemisphere(self) -> bool {
+        matches!(self, Self::Mirrored | Self::Hemispherical)
+    }
+
+    /// Whether it is kept to be compared with.
     pub fn is_for_comparison(self) -> bool {
-        matches!(self, Self::Smoothed | Self::ZeroHemisphere | Self::Lsop)
+        self != Self::Mirrored
     }
 
     /// The orders that have a name: 15, 36, 66 and 91 coefficients for [`Self::Mirrored`], else 16, 36, 64 and 100.
     pub fn orders(self) -> [u8; 4] {
         if self == Self::Mirrored { [5, 8, 11, 13] } else { [4, 6, 8, 10] }
+    }
+
+    /// Radiance toward `direction` (unit vector, surface frame) of a texel's coefficients (function after function, R G B
+    /// each), negative where they say so.
+    pub fn radiance(self, order: u8, parameters: &[f32], direction: DVec3) -> [f64; 3] {
+        let mut row = [0.0; MOST];
+        self.basis().at(usize::from(order), direction, &mut row);
+        let terms = || row.iter().zip(parameters.chunks_exact(3));
+        std::array::from_fn(|c| terms().map(|(value, p)| value * f64::from(p[c])).sum())
     }
 
     /// Number of coefficients of one channel.

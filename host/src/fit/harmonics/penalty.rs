@@ -9,7 +9,7 @@ use super::hemisphere;
 /// What each unit of the squared slope costs where nothing was measured, integrated over the steradians there, in units
 /// of the weighted mean squared residual. At 3e-5 to 3e-4 the noise gain over the hemisphere of 289 views that end at
 /// zenith 75 degrees falls from 1.3 to 0.6 and the error inside the views does not change (tests/examples/harmonics.rs).
-const SLOPE: f64 = 1e-4;
+const SLOPE: f64 = 2e-4;
 
 /// The penalty on smoothness of each function, (l (l + 1))²: the integral of its squared Laplacian.
 pub(super) fn roughness(basis: Basis, order: usize) -> DVector<f64> {

@@ -1,17 +1,23 @@
 //! Coefficients whose radiance is negative nowhere on the hemisphere.
 
+use glam::DVec3;
+use multiversion::multiversion;
+
 use super::basis::Basis;
 use super::hemisphere;
 use super::kernel::{Rgb, matrix_product};
 use super::lanes::{LANES, Lane};
 
-/// Directions at which every texel is looked at, and at which a suspect is held.
-const COARSE: usize = 192;
-const FINE: usize = 1536;
+/// Directions at which every texel is looked at, and at which a suspect is held, as multiples of the square of the order:
+/// the finest wave of order 10 has 18 degrees from crest to trough, and the directions are 8 and 3 degrees apart.
+const COARSE: usize = 3;
+const FINE: usize = 24;
+/// And along the horizon, as a multiple of the order.
+const HORIZON: usize = 8;
 /// What lies below this share of a texel's mean radiance between the coarse directions may be negative between them.
 const SUSPECT: f32 = 0.1;
 /// A suspect is held above this share of its mean radiance: between the fine directions it may dip by less.
-const LEAST: f32 = 2e-3;
+const LEAST: f32 = 2e-2;
 
 /// Finds and mends negative radiance.
 pub(super) struct Positive {
@@ -26,21 +32,31 @@ impl Positive {
         let count = basis.count(order);
         let rows = |directions: usize| {
             let mut row = vec![0.0; count];
-            let mut rows = Vec::with_capacity(directions * count);
-            for direction in hemisphere(directions) {
+            let mut rows = Vec::new();
+            // Near the horizon a lattice on the hemisphere is sparse.
+            let horizon = (0..HORIZON * order).map(|i| {
+                let azimuth = i as f64 / (HORIZON * order) as f64 * std::f64::consts::TAU;
+                DVec3::new(azimuth.cos(), azimuth.sin(), 0.0)
+            });
+            for direction in hemisphere(directions).chain(horizon) {
                 basis.at(order, direction, &mut row);
                 rows.extend(row.iter().map(|value| *value as f32));
             }
             rows
         };
-        Self { count, one: basis.one() as f32, coarse: rows(COARSE), fine: rows(FINE) }
+        Self {
+            count,
+            one: basis.one() as f32,
+            coarse: rows(COARSE * order * order),
+            fine: rows(FINE * order * order),
+        }
     }
 
     /// Makes the coefficients of eight texels positive where their mean radiance is, by the least change in the measure
     /// of `inverse` (the inverse of the fit's system, k x k). `mean` is each texel's mean radiance. Returns for each texel
     /// whether it was changed.
     pub fn mend(&self, coefficients: &mut [Rgb], mean: &Rgb, inverse: &[f32]) -> [bool; LANES] {
-        let mut seen = vec![[Lane::ZERO; 3]; COARSE];
+        let mut seen = vec![[Lane::ZERO; 3]; self.coarse.len() / self.count];
         matrix_product(&self.coarse, coefficients, &mut seen);
         let mut changed = [false; LANES];
         for c in 0..3 {
@@ -69,17 +85,18 @@ impl Positive {
         let mut held: Vec<(&[f32], Vec<f32>, f32)> = Vec::new();
         let mut changed = false;
         for _ in 0..12 {
-            let (low, lowest) = self.lowest(coefficients, 0.5 * least);
+            let (low, lowest) = self.lowest(coefficients, 0.8 * least);
             if lowest >= 0.0 {
                 return changed;
             }
             changed = true;
             for row in low {
-                let answer = inverse.chunks_exact(k).map(|line| dot(line, row)).collect();
+                let mut answer = vec![0.0; k];
+                products(inverse, row, &mut answer);
                 held.push((row, answer, 0.0));
             }
             // Hildreth's sweeps: one multiplier after the other, none below zero.
-            for _ in 0..50 {
+            for _ in 0..20 {
                 let mut moved = 0.0_f32;
                 for (row, answer, multiplier) in &mut held {
                     let gap = least - dot(row, coefficients);
@@ -109,8 +126,9 @@ impl Positive {
     fn lowest(&self, coefficients: &[f32], least: f32) -> (Vec<&[f32]>, f32) {
         let mut below: Vec<(f32, usize)> = Vec::new();
         let mut lowest = f32::INFINITY;
-        for (i, row) in self.fine.chunks_exact(self.count).enumerate() {
-            let value = dot(row, coefficients) - least;
+        let mut values = vec![0.0; self.fine.len() / self.count];
+        products(&self.fine, coefficients, &mut values);
+        for (i, value) in values.into_iter().map(|value| value - least).enumerate() {
             lowest = lowest.min(value);
             if value < 0.0 {
                 below.push((value, i));
@@ -129,6 +147,15 @@ impl Positive {
     }
 }
 
+/// `matrix` (row after row, each as long as `of`) times `of`.
+#[multiversion(targets("x86_64+avx2+fma"))]
+fn products(matrix: &[f32], of: &[f32], product: &mut [f32]) {
+    for (row, target) in matrix.chunks_exact(of.len()).zip(product) {
+        *target = dot(row, of);
+    }
+}
+
+#[inline(always)]
 fn dot(a: &[f32], b: &[f32]) -> f32 {
     // Eight sums side by side: one would be added up in order.
     let mut sums = [0.0_f32; LANES];

@@ -13,8 +13,8 @@ use nalgebra::DMatrix;
 use super::HarmonicsMethod;
 use super::basis::{Basis, Number, Rule};
 use super::kernel::{
-    Design, Packed, Rgb, Room, advance, energy, matrix_product, normal_product, settle, tally,
-    transposed_product, weigh_observations,
+    Packed, Rgb, Room, advance, energy, matrix_product, normal_product, settle, tally, transposed_product,
+    weigh_observations,
 };
 use super::lanes::{LANES, Lane};
 use super::penalty::{self, Normal};
@@ -166,6 +166,14 @@ impl Smooth {
         self.penalty
     }
 
+    /// [`Smooth::fit_tile`]'s coefficients of one texel without its shortcuts, robust weights and bound; slow, in double
+    /// precision. `None` where nothing was measured.
+    pub fn fit_directly(&self, texel: &TexelObservations) -> Option<Vec<f32>> {
+        let samples = Samples::of(texel, self.weighing.relative_error, self.weighing.floor);
+        let found = self.fit_alone(&samples).filter(|_| samples.len() > 0)?;
+        Some(found.transpose().iter().map(|value| *value as f32).collect())
+    }
+
     /// One texel's coefficients (k x 3) in double precision, without sharing anything and without holding them above zero:
     /// what [`Smooth::fit_tile`] comes close to. For bases whose systems are too ill-conditioned for less, and for tests.
     pub(in crate::fit) fn fit_alone(&self, samples: &Samples) -> Option<DMatrix<f64>> {
@@ -289,31 +297,23 @@ impl Smooth {
             }
         }
         let (weighted, misfit, squares, energy) = tally(&expected, &work.packed, &work.missing);
-        let mut parameters = |lane: usize| -> Vec<f32> {
-            let own: Vec<f32> =
-                work.found.iter().flat_map(|rgb| rgb.map(|channel| channel.0[lane])).collect();
-            if own.iter().all(|value| value.is_finite()) {
-                return own;
-            }
-            converged[lane] = false;
-            let mut constant = vec![0.0; own.len()];
-            for c in 0..3 {
-                let value = mean[c].0[lane].max(0.0) * self.basis.one() as f32;
-                constant[c] = if value.is_finite() { value } else { 0.0 };
-            }
-            constant
+        let parameters = |lane: usize| work.found.iter().flat_map(move |rgb| rgb.map(|c| c.0[lane]));
+        let constant = |lane: usize| {
+            let value = |c: usize| mean[c].0[lane].max(0.0) * self.basis.one() as f32;
+            let first = [0, 1, 2].map(|c| if value(c).is_finite() { value(c) } else { 0.0 });
+            first.into_iter().chain(std::iter::repeat(0.0)).take(3 * work.found.len())
         };
         let fits = (0..group.len()).map(|lane| {
-            let parameters = parameters(lane);
+            let finite = parameters(lane).all(f32::is_finite);
             let n = views.0[lane];
             let left = (n - shared.freedom).max(0.0) + PRIOR_FREEDOM;
             let prior = PRIOR_FREEDOM * inverse_total.0[lane];
             SmoothFit {
-                parameters,
+                parameters: if finite { parameters(lane).collect() } else { constant(lane).collect() },
                 residual: (weighted.0[lane] / (3.0 * n).max(1.0)).sqrt(),
                 relative_residual: (squares.0[lane] / energy.0[lane].max(f32::MIN_POSITIVE)).sqrt(),
                 views: n as u32,
-                converged: converged[lane],
+                converged: converged[lane] && finite,
                 held: held[lane],
                 variance: misfit.map(|misfit| (misfit.0[lane] + prior) / left),
                 spread: shared.spread.clone(),
