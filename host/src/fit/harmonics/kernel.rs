@@ -169,6 +169,9 @@ fn own_transposed(
 #[multiversion(targets("x86_64+avx2+fma"))]
 pub(super) fn matrix_product(matrix: &[f32], of: &[Rgb], product: &mut [Rgb]) {
     let k = of.len();
+    if k == 0 {
+        return product.fill([Lane::ZERO; 3]);
+    }
     let mut rows = matrix.chunks_exact(k * VIEWS);
     let mut targets = product.chunks_exact_mut(VIEWS);
     for (rows, targets) in rows.by_ref().zip(targets.by_ref()) {

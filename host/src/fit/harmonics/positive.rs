@@ -8,12 +8,11 @@ use super::hemisphere;
 use super::kernel::{Rgb, matrix_product};
 use super::lanes::{LANES, Lane};
 
-/// Directions at which every texel is looked at, and at which a suspect is held, as multiples of the square of the order:
-/// the finest wave of order 10 has 18 degrees from crest to trough, and the directions are 8 and 3 degrees apart.
-const COARSE: usize = 3;
-const FINE: usize = 24;
-/// And along the horizon, as a multiple of the order.
-const HORIZON: usize = 8;
+/// Directions at which every texel is looked at: over the hemisphere as a multiple of the square of the order, along the
+/// horizon, near which such a lattice is sparse, of the order.
+const COARSE: [usize; 2] = [3, 4];
+/// Directions at which a suspect is held: 3 degrees apart for order 10, whose finest wave has 18 from crest to trough.
+const FINE: [usize; 2] = [24, 24];
 /// What lies below this share of a texel's mean radiance between the coarse directions may be negative between them.
 const SUSPECT: f32 = 0.1;
 /// A suspect is held above this share of its mean radiance: between the fine directions it may dip by less.
@@ -30,26 +29,20 @@ pub(super) struct Positive {
 impl Positive {
     pub fn new(basis: Basis, order: usize) -> Self {
         let count = basis.count(order);
-        let rows = |directions: usize| {
+        let rows = |[over, along]: [usize; 2]| {
             let mut row = vec![0.0; count];
             let mut rows = Vec::new();
-            // Near the horizon a lattice on the hemisphere is sparse.
-            let horizon = (0..HORIZON * order).map(|i| {
-                let azimuth = i as f64 / (HORIZON * order) as f64 * std::f64::consts::TAU;
+            let horizon = (0..along * order).map(|i| {
+                let azimuth = i as f64 / (along * order) as f64 * std::f64::consts::TAU;
                 DVec3::new(azimuth.cos(), azimuth.sin(), 0.0)
             });
-            for direction in hemisphere(directions).chain(horizon) {
+            for direction in hemisphere(over * order * order).chain(horizon) {
                 basis.at(order, direction, &mut row);
                 rows.extend(row.iter().map(|value| *value as f32));
             }
             rows
         };
-        Self {
-            count,
-            one: basis.one() as f32,
-            coarse: rows(COARSE * order * order),
-            fine: rows(FINE * order * order),
-        }
+        Self { count, one: basis.one() as f32, coarse: rows(COARSE), fine: rows(FINE) }
     }
 
     /// Makes the coefficients of eight texels positive where their mean radiance is, by the least change in the measure
@@ -113,9 +106,10 @@ impl Positive {
             }
         }
         // What is left is blended with the constant, which is positive everywhere.
-        let (_, lowest) = self.lowest(coefficients, 0.0);
+        let enough = 0.8 * least;
+        let (_, lowest) = self.lowest(coefficients, enough);
         if lowest < 0.0 {
-            let share = (mean / (mean - lowest)).clamp(0.0, 1.0);
+            let share = ((mean - enough) / (mean - enough - lowest)).clamp(0.0, 1.0);
             coefficients.iter_mut().for_each(|value| *value *= share);
             coefficients[0] += (1.0 - share) * mean * self.one;
         }

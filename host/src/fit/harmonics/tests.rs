@@ -234,5 +234,6 @@ fn wrong_missing_and_infinite_observations_do_no_harm() {
             assert!((seen(&fits[2]) - clean).abs() < 0.01, "{method:?}: {} for {clean}", seen(&fits[2]));
         }
         assert!(smooth.fit_tile(&[]).is_empty());
+        assert_eq!(smooth.fit_tile(&[&empty])[0].views, 0);
     }
 }
