@@ -3,7 +3,7 @@
 use glam::DVec3;
 use nalgebra::DMatrix;
 
-use super::harmonics::{self, HarmonicsMethod};
+use super::harmonics::{self, HarmonicsMethod, Smooth, SmoothFit, Weighing};
 use super::log_quadratic;
 use super::model::{Model, SHININESS};
 use super::phong::{self, PhongOptions};
@@ -75,9 +75,9 @@ pub struct Fitter {
     model: Model,
     options: FitOptions,
     floor: f64,
-    penalty: f64,
     shininess_max: f64,
     gram: Option<nalgebra::Cholesky<f64, nalgebra::Dyn>>,
+    smooth: Option<Smooth>,
 }
 
 impl Fitter {
@@ -106,14 +106,16 @@ impl Fitter {
             model,
             options: *options,
             floor,
-            penalty: 0.0,
             shininess_max: sharpest(sample),
             gram: None,
+            smooth: None,
         };
         if let Model::Harmonics { order, method } = model {
             match method {
-                HarmonicsMethod::Smoothed => {
-                    fitter.penalty = options.penalty.unwrap_or_else(|| fitter.choose_penalty(sample));
+                HarmonicsMethod::Mirrored | HarmonicsMethod::Hemispherical | HarmonicsMethod::Smoothed => {
+                    let FitOptions { relative_error, robust, penalty, .. } = *options;
+                    let weighing = Weighing { relative_error, floor, robust };
+                    fitter.smooth = Some(Smooth::new(method, order, penalty, weighing, sample));
                 }
                 HarmonicsMethod::Lsop => fitter.gram = harmonics::hemisphere_gram(usize::from(order)),
                 HarmonicsMethod::ZeroHemisphere => {}
@@ -132,8 +134,37 @@ impl Fitter {
         self.floor
     }
 
-    /// Fits one texel. Never fails: what is missing or doubtful is flagged.
+    /// Fits texels that lie beside each other, in order: smooth models share work between them. Never fails: what is
+    /// missing or doubtful is flagged.
+    pub fn fit_tile(&self, texels: &[&TexelObservations]) -> Vec<TexelFit> {
+        match (&self.smooth, self.model) {
+            (Some(smooth), Model::Harmonics { method, .. }) if method.is_on_the_hemisphere() => {
+                let fits = smooth.fit_tile(texels).into_iter().zip(texels);
+                fits.map(|(fit, texel)| self.smooth_fit(fit, texel)).collect()
+            }
+            _ => texels.iter().map(|texel| self.fit_one(texel)).collect(),
+        }
+    }
+
+    /// Fits one texel; see [`Fitter::fit_tile`].
     pub fn fit(&self, texel: &TexelObservations) -> TexelFit {
+        let mut fits = self.fit_tile(&[texel]);
+        fits.pop().expect("as many fits as texels")
+    }
+
+    fn smooth_fit(&self, fit: SmoothFit, texel: &TexelObservations) -> TexelFit {
+        if (fit.views as usize) < self.model.unknowns() {
+            return self.fit_one(texel);
+        }
+        let mut flags = FitFlags::default();
+        if !fit.converged {
+            flags.set(FitFlags::NOT_CONVERGED);
+        }
+        let SmoothFit { parameters, residual, relative_residual, views, .. } = fit;
+        TexelFit { parameters, residual, relative_residual, views, flags }
+    }
+
+    fn fit_one(&self, texel: &TexelObservations) -> TexelFit {
         if let Model::Phong { lobes } = self.model {
             return self.lobes(texel, usize::from(lobes));
         }
@@ -219,36 +250,16 @@ impl Fitter {
     }
 
     fn harmonics(&self, order: usize, method: HarmonicsMethod, samples: &Samples) -> Option<DMatrix<f64>> {
-        let Samples { directions, radiance, weights } = samples;
+        let Samples { directions, radiance, .. } = samples;
         match method {
-            HarmonicsMethod::Smoothed => {
-                harmonics::smoothed(&harmonics::normal(order, directions, radiance, weights), self.penalty)
+            HarmonicsMethod::Mirrored | HarmonicsMethod::Hemispherical | HarmonicsMethod::Smoothed => {
+                self.smooth.as_ref()?.fit_alone(samples)
             }
             HarmonicsMethod::ZeroHemisphere => Some(harmonics::projected(order, directions, radiance)),
             HarmonicsMethod::Lsop => {
                 self.gram.as_ref().map(|gram| gram.solve(&harmonics::projected(order, directions, radiance)))
             }
         }
-    }
-
-    fn choose_penalty(&self, sample: &[TexelObservations]) -> f64 {
-        let Model::Harmonics { order, .. } = self.model else { return 0.0 };
-        let enough = |texel: &&TexelObservations| texel.direction.len() >= self.model.unknowns();
-        let stride = sample.len().div_ceil(64).max(1);
-        let normals: Vec<_> = sample
-            .iter()
-            .filter(enough)
-            .step_by(stride)
-            .map(|texel| Samples::of(texel, self.options.relative_error, self.floor))
-            .filter(|samples| samples.len() >= self.model.unknowns())
-            .map(|s| harmonics::normal(usize::from(order), &s.directions, &s.radiance, &s.weights))
-            .collect();
-        let ladder = (-24..=4).map(|half| 10.0_f64.powf(f64::from(half) / 2.0));
-        let scored = ladder.filter_map(|penalty| {
-            let score: Option<f64> = normals.iter().map(|n| harmonics::cross_validation(n, penalty)).sum();
-            score.map(|score| (score, penalty))
-        });
-        scored.min_by(|a, b| a.0.total_cmp(&b.0)).map_or(1e-6, |(_, penalty)| penalty)
     }
 
     /// Huber's weights; `false`, and nothing changed, where no observation disagrees with the rest.

@@ -1,142 +1,95 @@
-//! Real spherical harmonics and three ways to their coefficients.
+//! Smooth bases: harmonics on the hemisphere, and the thesis's ways to spherical harmonics.
 //!
-//! No photograph is taken from below the surface and none from its horizon, so the least-squares problem alone is
-//! ill-posed (condition 4e8 for 36 coefficients). [`HarmonicsMethod::Smoothed`] adds the integral of the squared
-//! Laplacian, which grows as (l (l + 1))², with a weight chosen by generalised cross-validation once for a surface.
-//! The thesis's two methods are kept to be compared with.
-#![expect(clippy::needless_range_loop, reason = "indices name rows and columns of small matrices")]
+//! No photograph is taken from below the surface and none from its horizon, so the least-squares problem for spherical
+//! harmonics alone is ill-posed (condition 4e8 for 36 coefficients). Functions that are orthogonal on the hemisphere, a
+//! penalty on their roughness chosen by generalised cross-validation once for a surface, and a weak penalty on slope where
+//! nothing was measured make it well-posed ([`Smooth`]). The thesis's two methods are kept to be compared with.
+
+mod basis;
+mod kernel;
+mod lanes;
+mod penalty;
+mod positive;
+mod smooth;
+mod stability;
+#[cfg(test)]
+mod tests;
 
 use std::f64::consts::PI;
-use std::sync::LazyLock;
 
 use glam::DVec3;
 use nalgebra::{Cholesky, DMatrix, DVector};
 
 use super::voronoi;
+pub(super) use basis::Basis;
+pub use smooth::{Smooth, SmoothFit, Weighing};
+pub use stability::Stability;
 
-/// The most coefficients of one channel: order 10.
+/// The most coefficients of one channel.
 pub const MOST: usize = 100;
-const ORDERS: usize = 10;
+/// One more than the highest degree of any basis.
+const ORDERS: usize = 14;
 
-/// How the coefficients of spherical harmonics are found.
+/// Which harmonics, and how their coefficients are found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum HarmonicsMethod {
-    /// Weighted least squares on the directions themselves with a penalty on the Laplacian.
+    /// Spherical harmonics that are even in z, order (order + 1) / 2 of them: the radiance below the horizon is its mirror
+    /// image (Westin, Arvo, Torrance 1992). Smoothed.
+    Mirrored,
+    /// Hemispherical harmonics (Gautron et al. 2004), order² of them. Smoothed.
+    Hemispherical,
+    /// Spherical harmonics, order² of them. Smoothed.
     Smoothed,
-    /// Projection with radiance 0 below the horizon (the thesis's zero hemisphere): rings at the horizon.
+    /// Spherical harmonics by projection with radiance 0 below the horizon (the thesis's zero hemisphere): rings at the
+    /// horizon.
     ZeroHemisphere,
-    /// Least-squares optimal projection: quadrature over Voronoi cells and the inverse Gram matrix of the hemisphere
-    /// (thesis, 12.4): less accurate than least squares on the samples.
+    /// Spherical harmonics by least-squares optimal projection: quadrature over Voronoi cells and the inverse Gram matrix of
+    /// the hemisphere (thesis, 12.4): less accurate than least squares on the samples.
     Lsop,
 }
 
-/// Factors of the recurrence for the normalised associated Legendre functions, by l and m.
-static FACTORS: LazyLock<[[(f64, f64); ORDERS]; ORDERS]> = LazyLock::new(|| {
-    let mut factors = [[(0.0, 0.0); ORDERS]; ORDERS];
-    for l in 1..ORDERS {
-        for m in 0..l {
-            let (lf, mf) = (l as f64, m as f64);
-            let a = ((4.0 * lf * lf - 1.0) / (lf * lf - mf * mf)).sqrt();
-            let p = lf - 1.0;
-            factors[l][m] =
-                (a, if l > m + 1 { ((p * p - mf * mf) / (4.0 * p * p - 1.0)).sqrt() } else { 0.0 });
+impl HarmonicsMethod {
+    /// All methods.
+    pub const ALL: [Self; 5] =
+        [Self::Mirrored, Self::Hemispherical, Self::Smoothed, Self::ZeroHemisphere, Self::Lsop];
+
+    /// The functions of direction that the coefficients belong to.
+    pub(super) fn basis(self) -> Basis {
+        match self {
+            Self::Mirrored => Basis::Mirrored,
+            Self::Hemispherical => Basis::Stretched,
+            Self::Smoothed | Self::ZeroHemisphere | Self::Lsop => Basis::Sphere,
         }
     }
-    factors
-});
 
-/// The real orthonormal harmonics below `order` (1 to 10) at a unit vector: `basis[l (l + 1) + m]`. No Condon-Shortley
-/// phase: l = 1 is proportional to y, z, x.
-pub fn basis(order: usize, direction: DVec3, basis: &mut [f64]) {
-    let DVec3 { x, y, z } = direction;
-    let factors = &*FACTORS;
-    // (x + iy)^m carries the azimuth and the power of the sine of the zenith.
-    let (mut re, mut im) = (1.0, 0.0);
-    let mut diagonal = (1.0 / (4.0 * PI)).sqrt();
-    for m in 0..order {
-        if m > 0 {
-            (re, im) = (re * x - im * y, re * y + im * x);
-            diagonal *= ((2 * m + 1) as f64 / (2 * m) as f64).sqrt();
-        }
-        let scale = if m == 0 { 1.0 } else { std::f64::consts::SQRT_2 };
-        let (mut before, mut legendre) = (0.0, diagonal);
-        for l in m..order {
-            if l > m {
-                let (a, b) = factors[l][m];
-                (before, legendre) = (legendre, a * (z * legendre - b * before));
-            }
-            basis[l * (l + 1) + m] = scale * legendre * re;
-            if m > 0 {
-                basis[l * (l + 1) - m] = scale * legendre * im;
-            }
-        }
+    /// Whether its functions are those of the hemisphere: their systems are well-posed, and fitted tile by tile.
+    pub fn is_on_the_hemisphere(self) -> bool {
+        matches!(self, Self::Mirrored | Self::Hemispherical)
     }
-}
 
-/// The normal equations of one texel, weights normalised to sum 1.
-pub(super) struct Normal {
-    /// AᵀWA, k × k.
-    pub gram: DMatrix<f64>,
-    /// AᵀWy, k × 3.
-    pub right: DMatrix<f64>,
-    /// yᵀWy summed over the channels.
-    pub energy: f64,
-    /// Number of samples.
-    pub samples: usize,
-}
-
-pub(super) fn normal(order: usize, directions: &[DVec3], radiance: &[[f64; 3]], weights: &[f64]) -> Normal {
-    let (n, k) = (directions.len(), order * order);
-    let total: f64 = weights.iter().sum();
-    let mut design = DMatrix::zeros(k, n);
-    let mut values = DMatrix::zeros(n, 3);
-    let mut energy = 0.0;
-    for (i, direction) in directions.iter().enumerate() {
-        let root = (weights[i] / total).sqrt();
-        let mut column = design.column_mut(i);
-        basis(order, *direction, column.as_mut_slice());
-        column *= root;
-        for c in 0..3 {
-            values[(i, c)] = root * radiance[i][c];
-            energy += values[(i, c)] * values[(i, c)];
-        }
+    /// Whether it is kept to be compared with.
+    pub fn is_for_comparison(self) -> bool {
+        self != Self::Mirrored
     }
-    Normal { gram: &design * design.transpose(), right: &design * values, energy, samples: n }
-}
 
-/// The smoothness penalty of each coefficient: (l (l + 1))².
-fn roughness(k: usize) -> impl Iterator<Item = f64> {
-    (0..k).map(|i| {
-        let l = (i as f64).sqrt().floor();
-        (l * (l + 1.0)).powi(2)
-    })
-}
-
-fn factor(normal: &Normal, penalty: f64) -> Option<Cholesky<f64, nalgebra::Dyn>> {
-    let mut system = normal.gram.clone();
-    for (i, rough) in roughness(system.nrows()).enumerate() {
-        // The last term only keeps what no sample touches from being undefined when there is no penalty.
-        system[(i, i)] += penalty * rough + 1e-15;
+    /// The orders that have a name: 15, 36, 66 and 91 coefficients for [`Self::Mirrored`], else 16, 36, 64 and 100.
+    pub fn orders(self) -> [u8; 4] {
+        if self == Self::Mirrored { [5, 8, 11, 13] } else { [4, 6, 8, 10] }
     }
-    system.cholesky()
-}
 
-/// The k × 3 coefficients that minimise the weighted mean squared residual plus `penalty` times the roughness.
-pub(super) fn smoothed(normal: &Normal, penalty: f64) -> Option<DMatrix<f64>> {
-    factor(normal, penalty).map(|factor| factor.solve(&normal.right))
-}
+    /// Radiance toward `direction` (unit vector, surface frame) of a texel's coefficients (function after function, R G B
+    /// each), negative where they say so.
+    pub fn radiance(self, order: u8, parameters: &[f32], direction: DVec3) -> [f64; 3] {
+        let mut row = [0.0; MOST];
+        self.basis().at(usize::from(order), direction, &mut row);
+        let terms = || row.iter().zip(parameters.chunks_exact(3));
+        std::array::from_fn(|c| terms().map(|(value, p)| value * f64::from(p[c])).sum())
+    }
 
-/// Generalised cross-validation (Golub, Heath, Wahba 1979), logarithm of the score for one texel; lower is better.
-pub(super) fn cross_validation(normal: &Normal, penalty: f64) -> Option<f64> {
-    let factor = factor(normal, penalty)?;
-    let coefficients = factor.solve(&normal.right);
-    let freedom = factor.solve(&normal.gram).trace();
-    let residual = normal.energy - 2.0 * coefficients.dot(&normal.right)
-        + coefficients.dot(&(&normal.gram * &coefficients));
-    let left = 1.0 - freedom / normal.samples as f64;
-    // A residual below rounding error says nothing about the choice.
-    let residual = residual.max(1e-12 * normal.energy).max(f64::MIN_POSITIVE);
-    (left > 1e-6).then(|| (residual / (left * left)).ln())
+    /// Number of coefficients of one channel.
+    pub fn count(self, order: u8) -> usize {
+        self.basis().count(usize::from(order))
+    }
 }
 
 /// Directions spread evenly over the upper hemisphere (a Fibonacci lattice), each for the same solid angle.
@@ -157,7 +110,7 @@ pub(super) fn hemisphere_gram(order: usize) -> Option<Cholesky<f64, nalgebra::Dy
     let mut gram = DMatrix::zeros(k, k);
     let mut row = DVector::zeros(k);
     for direction in hemisphere(count) {
-        basis(order, direction, row.as_mut_slice());
+        Basis::Sphere.at(order, direction, row.as_mut_slice());
         gram.ger(2.0 * PI / count as f64, &row, &row, 1.0);
     }
     gram.cholesky()
@@ -168,7 +121,7 @@ pub(super) fn projected(order: usize, directions: &[DVec3], radiance: &[[f64; 3]
     let mut sum = DMatrix::zeros(order * order, 3);
     let mut row = vec![0.0; order * order];
     for ((direction, cell), radiance) in directions.iter().zip(voronoi::cells_sr(directions)).zip(radiance) {
-        basis(order, *direction, &mut row);
+        Basis::Sphere.at(order, *direction, &mut row);
         for (i, value) in row.iter().enumerate() {
             for c in 0..3 {
                 sum[(i, c)] += cell * radiance[c] * value;

@@ -19,9 +19,10 @@ pub enum Model {
     /// exp of a quadratic in the direction's x and y, up to a greatest value: seven numbers for each channel. For few
     /// views in a narrow cone.
     LogQuadratic,
-    /// Real spherical harmonics below `order`: order² coefficients for each channel (thesis, chapter 12).
+    /// Real harmonics below `order`: [`HarmonicsMethod::count`] coefficients for each channel (after the thesis, chapter
+    /// 12).
     Harmonics {
-        /// One more than the highest degree: 4, 6, 8 or 10 give 16, 36, 64 or 100 coefficients.
+        /// One more than the highest degree; see [`HarmonicsMethod::orders`].
         order: u8,
         /// How the coefficients are found.
         method: HarmonicsMethod,
@@ -36,8 +37,8 @@ impl Model {
     pub fn all() -> Vec<Self> {
         let mut all = vec![Self::Constant, Self::LogQuadratic];
         all.extend((1..=3).map(|lobes| Self::Phong { lobes }));
-        for method in [HarmonicsMethod::Smoothed, HarmonicsMethod::ZeroHemisphere, HarmonicsMethod::Lsop] {
-            all.extend([4, 6, 8, 10].map(|order| Self::Harmonics { order, method }));
+        for method in HarmonicsMethod::ALL {
+            all.extend(method.orders().map(|order| Self::Harmonics { order, method }));
         }
         all
     }
@@ -64,12 +65,14 @@ impl Model {
             Self::Phong { lobes } => format!("phong{lobes}"),
             Self::LogQuadratic => "log-quadratic".into(),
             Self::Harmonics { order, method } => {
-                let suffix = match method {
-                    HarmonicsMethod::Smoothed => "",
-                    HarmonicsMethod::ZeroHemisphere => "-zero",
-                    HarmonicsMethod::Lsop => "-lsop",
+                let (prefix, suffix) = match method {
+                    HarmonicsMethod::Mirrored => ("msh", ""),
+                    HarmonicsMethod::Hemispherical => ("hsh", ""),
+                    HarmonicsMethod::Smoothed => ("sh", ""),
+                    HarmonicsMethod::ZeroHemisphere => ("sh", "-zero"),
+                    HarmonicsMethod::Lsop => ("sh", "-lsop"),
                 };
-                format!("sh{}{suffix}", usize::from(*order).pow(2))
+                format!("{prefix}{}{suffix}", method.count(*order))
             }
         }
     }
@@ -80,7 +83,7 @@ impl Model {
             Self::Constant => 3,
             Self::Phong { lobes } => 3 + 7 * usize::from(*lobes),
             Self::LogQuadratic => 21,
-            Self::Harmonics { order, .. } => 3 * usize::from(*order).pow(2),
+            Self::Harmonics { order, method } => 3 * method.count(*order),
         }
     }
 
@@ -91,7 +94,7 @@ impl Model {
             // Diffuse, and for each lobe specular, shininess and two angles.
             Self::Phong { lobes } => 1 + 4 * usize::from(*lobes),
             Self::LogQuadratic => 6,
-            Self::Harmonics { order, .. } => usize::from(*order).pow(2),
+            Self::Harmonics { order, method } => method.count(*order),
         }
     }
 
@@ -120,10 +123,12 @@ impl Model {
                 .iter()
                 .flat_map(|t| rgb(t))
                 .collect(),
-            Self::Harmonics { order, .. } => (0..i32::from(*order))
-                .flat_map(|l| (-l..=l).map(move |m| format!("l{l}.m{m}")))
-                .flat_map(|name| rgb(&name))
-                .collect(),
+            Self::Harmonics { order, method } => {
+                // Other functions than the spherical harmonics, so other names.
+                let prefix = if *method == HarmonicsMethod::Hemispherical { "h" } else { "" };
+                let names = method.basis().indices(usize::from(*order));
+                names.flat_map(|(l, m)| rgb(&format!("{prefix}l{l}.m{m}"))).collect()
+            }
         }
     }
 
@@ -139,9 +144,9 @@ impl Model {
             Self::LogQuadratic => {
                 toward.basis[..6].copy_from_slice(&super::log_quadratic::terms(direction).map(|t| t as f32))
             }
-            Self::Harmonics { order, .. } => {
+            Self::Harmonics { order, method } => {
                 let mut basis = [0.0; harmonics::MOST];
-                harmonics::basis(usize::from(*order), direction.as_dvec3(), &mut basis);
+                method.basis().at(usize::from(*order), direction.as_dvec3(), &mut basis);
                 for (to, from) in toward.basis.iter_mut().zip(basis) {
                     *to = from as f32;
                 }
@@ -157,7 +162,7 @@ impl Model {
         let first = match self {
             Self::Constant | Self::Phong { .. } => radiance,
             Self::LogQuadratic => radiance.map(|l| (f64::from(l).max(f64::MIN_POSITIVE).ln()) as f32),
-            Self::Harmonics { .. } => radiance.map(|l| l * (4.0 * std::f32::consts::PI).sqrt()),
+            Self::Harmonics { method, .. } => radiance.map(|l| l * method.basis().one() as f32),
         };
         parameters[..3].copy_from_slice(&first);
         if *self == Self::LogQuadratic {
@@ -200,7 +205,7 @@ impl Toward {
                 let log = self.sum(parameters, 6);
                 std::array::from_fn(|c| log[c].min(parameters[18 + c]).exp())
             }
-            Model::Harmonics { order, .. } => self.sum(parameters, usize::from(order).pow(2)),
+            Model::Harmonics { order, method } => self.sum(parameters, method.count(order)),
         };
         // Finite also where a hostile file says otherwise.
         radiance.map(|value| value.clamp(0.0, f32::MAX))

@@ -3,7 +3,6 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::HarmonicsMethod;
 use super::fitter::{FitOptions, Fitter};
 use super::model::Model;
 use crate::observation::TexelObservations;
@@ -27,7 +26,7 @@ pub(super) const PARTS: u32 = 5;
 /// The models worth choosing among: all but those that are kept for comparison only.
 pub fn candidates() -> Vec<Model> {
     let kept_for_comparison = |model: &Model| match model {
-        Model::Harmonics { method, .. } => *method != HarmonicsMethod::Smoothed,
+        Model::Harmonics { method, .. } => method.is_for_comparison(),
         _ => false,
     };
     Model::all().into_iter().filter(|model| !kept_for_comparison(model)).collect()

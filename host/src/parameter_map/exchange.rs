@@ -12,7 +12,7 @@ use half::f16;
 use super::{Diagnostics, ParameterMap, Uncertainty};
 use crate::error::{Error, Result};
 use crate::file::write_beside;
-use crate::fit::{BANDS, FitFlags, Model, Reason};
+use crate::fit::{BANDS, FitFlags, HarmonicsMethod, Model, Reason};
 use crate::geometry::{Surface, Texels};
 
 const MODEL: &str = "rigelModel";
@@ -300,6 +300,11 @@ impl ParameterMap {
             }
             Model::LogQuadratic => {
                 "L(d) = exp(min(log.most, log.1 + log.x x + log.y y + log.xx x^2 + log.xy x y + log.yy y^2)), d = (x, y, z)"
+            }
+            Model::Harmonics { method: HarmonicsMethod::Hemispherical, .. } => {
+                "L(d) = max(0, sum over l, m of c_lm sqrt(2) Y_lm(sqrt(4 z / (1 + z)) x, sqrt(4 z / (1 + z)) y, 2 z - 1)), \
+                 d = (x, y, z), Y real orthonormal spherical harmonics without Condon-Shortley phase, m < 0 with \
+                 sin(|m| azimuth)"
             }
             Model::Harmonics { .. } => {
                 "L(d) = max(0, sum over l, m of c_lm Y_lm(d)), Y real orthonormal spherical harmonics without \

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use rayon::prelude::*;
 
 use super::{Diagnostics, ParameterMap};
-use crate::fit::{FitFlags, FitOptions, Fitter, Model, TexelFit};
+use crate::fit::{FitFlags, FitOptions, Fitter, Model};
 use crate::observation::{ObservationMap, TexelObservations};
 use crate::progress::Progress;
 use crate::{Error, Result};
@@ -32,14 +32,13 @@ pub fn fit_surface(
     let (tiles, done) = (header.tiles().count(), AtomicUsize::new(0));
     progress.step(0, tiles)?;
     (0..tiles).into_par_iter().try_for_each(|tile| {
-        let fits: Vec<((u32, u32), TexelFit)> = map
-            .tile(tile)?
-            .iter()
-            .map(|(texel, observations)| (*texel, fitter.fit(&leave_out(observations, without))))
-            .collect();
+        let observed = map.tile(tile)?;
+        let rest: Vec<_> = observed.iter().map(|(_, texel)| leave_out(texel, without)).collect();
+        let fits = fitter.fit_tile(&rest.iter().map(|texel| &**texel).collect::<Vec<_>>());
         let mut target = target.lock().map_err(|_| Error::Interrupted)?;
         let (parameters, diagnostics) = &mut *target;
-        for ((column, row), fit) in fits {
+        for (((column, row), _), fit) in observed.iter().zip(fits) {
+            let (column, row) = (*column, *row);
             let index = row as usize * texels.columns as usize + column as usize;
             parameters[index * count..(index + 1) * count].copy_from_slice(&fit.parameters);
             diagnostics.residual[index] = fit.residual;
