@@ -141,7 +141,7 @@ fn chosen_texels(observations: &ObservationMap) -> Result<Vec<((u32, u32), Texel
 }
 
 /// Models drawn beside the measurement.
-const DRAWN: [&str; 4] = ["phong", "phong2", "sh36", "log-quadratic"];
+const DRAWN: [&str; 4] = ["phong", "phong2", "msh36", "log-quadratic"];
 
 fn profile(column: u32, row: u32, texel: &TexelObservations, compared: &[Compared]) -> Result<String> {
     let green = |i: &usize| texel.radiance[*i][1];

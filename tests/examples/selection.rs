@@ -14,7 +14,7 @@ use rand::rngs::StdRng;
 use rayon::prelude::*;
 use rigel::Result;
 use rigel::fit::{
-    BANDS, Evidence, FitOptions, Fitter, Model, Reason, choose_models, zenith_band, zenith_factors,
+    BANDS, Evidence, FitOptions, Fitter, Reason, candidates, choose_models, zenith_band, zenith_factors,
 };
 use rigel::geometry::Texels;
 use rigel::observation::TexelObservations;
@@ -27,8 +27,7 @@ const ZENITH_RAD: f32 = 1.309;
 fn main() -> Result<()> {
     let mut arguments = std::env::args().skip(1).filter_map(|text| text.parse().ok());
     let (count, views) = (arguments.next().unwrap_or(256), arguments.next().unwrap_or(150));
-    let names = ["constant", "phong", "phong2", "phong3", "log-quadratic", "sh16", "sh36"];
-    let models: Vec<Model> = names.iter().map(|name| Model::parse(name)).collect::<Result<_>>()?;
+    let models = candidates();
     let kinds: [(&str, fn(&mut StdRng) -> Truth); 6] = [
         ("constant", |random| lobes(random, 0)),
         ("one lobe", |random| lobes(random, 1)),
@@ -57,8 +56,8 @@ fn main() -> Result<()> {
             truths.iter().enumerate().map(texel).collect()
         };
         let (first, second) = (one(1), one(2));
-        let mut fitters =
-            models.iter().map(|&m| Fitter::new(m, &options, &first)).collect::<Result<Vec<_>>>()?;
+        let mut fitters: Vec<Fitter> =
+            models.iter().filter_map(|&m| Fitter::new(m, &options, &first).ok()).collect();
         fitters.sort_by_key(|fitter| fitter.model().bytes_per_texel());
         let chosen = [&first, &second].map(|observed| {
             let evidence: Vec<_> = observed.par_iter().map(|texel| Evidence::of(&fitters, texel)).collect();

@@ -29,14 +29,13 @@ const HELD_OUT: usize = 6;
 const HELD_OUT_LIMIT_DEG: f64 = 60.0;
 const LONGEST_EXPOSURE_S: f64 = 0.25;
 const TEXELS: Texels = Texels { columns: 128, rows: 96 };
-const MODELS: [&str; 11] = [
+const MODELS: [&str; 10] = [
     "constant",
     "log-quadratic",
     "phong",
     "phong2",
-    "sh16",
-    "sh36",
-    "sh64",
+    "msh15",
+    "msh36",
     "sh16-zero",
     "sh36-zero",
     "sh16-lsop",

@@ -15,7 +15,7 @@ use crate::figures::{figure, table};
 use crate::table::Table;
 
 /// Models whose breaks are looked for.
-const MODELS: [&str; 6] = ["constant", "phong", "phong2", "log-quadratic", "sh36", AUTO];
+const MODELS: [&str; 6] = ["constant", "phong", "phong2", "log-quadratic", "msh36", AUTO];
 /// A mean error beyond this shows.
 const BROKEN: f64 = 0.05;
 const EACH: usize = 32;

@@ -79,16 +79,16 @@ pub fn sweep(folder: &Path, report: &mut Report, step: &dyn Fn(usize) -> Result<
     step(2)?;
     let unequal = surface(&[(LAMP, 1.2), (Vec3::new(-1500.0, -1500.0, 2000.0), 0.4)], 10.0);
     let harmonics = [
-        ("sh16", ""),
+        ("msh15", ""),
         ("sh16-zero", "small highlight not seen"),
         ("sh16-lsop", ""),
-        ("sh36", ""),
+        ("msh36", ""),
         ("sh36-zero", "small highlight not seen"),
         ("sh36-lsop", "small highlight seen"),
-        ("sh64", ""),
+        ("msh66", ""),
         ("sh64-zero", "small highlight seen"),
         ("sh64-lsop", "acceptable"),
-        ("sh100", ""),
+        ("msh91", ""),
         ("sh100-zero", "residuals to 40 %"),
         ("sh100-lsop", "residuals to 40 %, ringing"),
         ("phong2", ""),
@@ -99,14 +99,14 @@ pub fn sweep(folder: &Path, report: &mut Report, step: &dyn Fn(usize) -> Result<
         let case = format!("shininess {shininess}");
         let thesis = if shininess <= 15.0 { "sufficient" } else { "not sufficient" };
         let shiny = surface(&[(LAMP, 1.0)], shininess);
-        add("13.1", &case, &shiny, &all, &[("phong", "sufficient"), ("sh36-lsop", thesis), ("sh36", "")])?;
+        add("13.1", &case, &shiny, &all, &[("phong", "sufficient"), ("sh36-lsop", thesis), ("msh36", "")])?;
     }
     step(4)?;
     for (subdivisions, thesis) in [(1, "sufficient"), (2, "sufficient"), (3, "sufficient")] {
         let toward = grid(subdivisions)?;
         let case = format!("{} directions", toward.len());
         let lsop = if subdivisions == 3 { "sufficient" } else { "not sufficient" };
-        add("13.2", &case, &point, &toward, &[("phong", thesis), ("sh36-lsop", lsop), ("sh36", "")])?;
+        add("13.2", &case, &point, &toward, &[("phong", thesis), ("sh36-lsop", lsop), ("msh36", "")])?;
     }
     step(5)?;
     let mirrored = Vec3::new(-LAMP.x, -LAMP.y, LAMP.z).normalize();
@@ -114,7 +114,7 @@ pub fn sweep(folder: &Path, report: &mut Report, step: &dyn Fn(usize) -> Result<
     near.sort_by(|a, b| b.dot(mirrored).total_cmp(&a.dot(mirrored)));
     let concentrated: Vec<Vec3> = grid(2)?.into_iter().chain(near.into_iter().take(81)).collect();
     let case = format!("{} directions, 81 of them around the highlight", concentrated.len());
-    let models = [("phong", "no difference to 305"), ("sh36-lsop", "diffuse part worse"), ("sh36", "")];
+    let models = [("phong", "no difference to 305"), ("sh36-lsop", "diffuse part worse"), ("msh36", "")];
     add("13.3", &case, &point, &concentrated, &models)?;
     add("13.3", "305 directions", &point, &all, &models)?;
     table(
