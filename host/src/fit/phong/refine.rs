@@ -16,6 +16,8 @@ pub(super) const SEARCHED: usize = 3 * MOST_LOBES;
 /// Values below exp(-CUT) are zero: nothing to see.
 const CUT: f64 = 18.0;
 const MOST_STEPS: usize = 60;
+/// The longest last step that is taken on trust: radians, or logarithm of shininess.
+const LAST_STEP: f64 = 0.02;
 /// Blocks of views whose columns fit into the first cache.
 const CHUNK: usize = 40;
 /// Single precision hides what is smaller, as a part of the energy.
@@ -40,7 +42,7 @@ pub(super) struct Place<const L: usize, const R: usize> {
 }
 
 /// A turn within the horizontal plane and one towards the zenith: the horizon is then a bound of the second alone.
-fn turns(direction: DVec3) -> [DVec3; 2] {
+pub(super) fn turns(direction: DVec3) -> [DVec3; 2] {
     let level = DVec3::new(-direction.y, direction.x, 0.0).try_normalize().unwrap_or(DVec3::X);
     [level, direction.cross(level)]
 }
@@ -60,8 +62,8 @@ impl<const L: usize, const R: usize> Place<L, R> {
         let turns = lobes.map(|lobe| turns(lobe.direction));
         let guess = linear.map(|values| values.map(|value| value as f32));
         let mut gram = [[0.0; R]; R];
-        let Views { blocks, rows, .. } = views;
-        rows.resize(R * CHUNK, [0.0; lanes::WIDTH]);
+        let Views { blocks, rows, beyond, .. } = views;
+        rows.resize(rows.len().max(R * CHUNK), [0.0; lanes::WIDTH]);
         let (rows, _) = rows.as_chunks_mut::<R>();
         for blocks in blocks.chunks(CHUNK) {
             let rows = &mut rows[..blocks.len()];
@@ -84,7 +86,7 @@ impl<const L: usize, const R: usize> Place<L, R> {
             // What was in single precision is what the residuals are of.
             linear: guess.map(|values| values.map(f64::from)),
             active: [0; 3],
-            squares: gram[R - 3][R - 3] + gram[R - 2][R - 2] + gram[R - 1][R - 1],
+            squares: gram[R - 3][R - 3] + gram[R - 2][R - 2] + gram[R - 1][R - 1] + *beyond,
         };
         place.settle();
         place
@@ -219,18 +221,29 @@ impl<const L: usize, const R: usize> Place<L, R> {
     }
 }
 
-/// Refines lobes together until nothing more is to be gained; whether that was reached.
+/// What bounds a search.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Search {
+    pub shininess_max: f64,
+    /// All lobes have the first one's shininess.
+    pub shared: bool,
+    /// Ends where the next step promises to lower the squares by less than this part of their mean for one
+    /// observation; that step is still taken. 0.1: the parameters were within a third of their own uncertainty
+    /// before it.
+    pub small: f64,
+}
+
+/// Refines lobes together until nothing more is to be gained; whether that was reached. The last step is taken on trust:
+/// radiance, products and squares are those before it.
 pub(super) fn refine<const L: usize, const R: usize>(
     views: &mut Views,
     start: [Lobe; L],
     linear: &[[f64; TERMS]; 3],
-    shininess_max: f64,
+    search: &Search,
 ) -> (Place<L, R>, bool) {
     let mut place = Place::<L, R>::new(views, start, linear);
     let rounding = ROUNDING * views.energy;
-    // A gain of this part of the residual moves no parameter by more than a third of its own uncertainty, and that
-    // last step is still taken.
-    let small = 0.1 / (3.0 * views.count as f64);
+    let small = search.small / (3.0 * views.count as f64);
     let mut damping = 1e-4;
     let mut known = None;
     for _ in 0..MOST_STEPS {
@@ -239,21 +252,35 @@ pub(super) fn refine<const L: usize, const R: usize>(
         }
         let (hessian, gradient) = *known.get_or_insert_with(|| {
             let (mut hessian, mut gradient) = place.reduced();
-            place.hold(&mut hessian, &mut gradient, shininess_max);
+            if search.shared {
+                tie(&mut hessian, &mut gradient, L);
+            }
+            place.hold(&mut hessian, &mut gradient, search.shininess_max);
             (hessian, gradient)
         });
         let mut damped = hessian;
         for (i, row) in damped.iter_mut().enumerate().take(3 * L) {
             row[i] += damping * row[i] + 1e-12 * views.energy;
         }
-        let Some(step) = solve(&damped, &gradient, 3 * L) else {
+        let Some(mut step) = solve(&damped, &gradient, 3 * L) else {
             damping *= 10.0;
             continue;
         };
         let promised: f64 = step.iter().zip(&gradient).take(3 * L).map(|(s, g)| s * g).sum();
-        let trial = Place::<L, R>::new(views, place.moved(&step, shininess_max), &place.linear);
-        let better = trial.squares < place.squares;
-        if better {
+        if search.shared {
+            for l in 1..L {
+                step[3 * l] = step[0];
+            }
+        }
+        let moved = place.moved(&step, search.shininess_max);
+        // Where the views say little, a step that promises little may go far.
+        let short = step.iter().take(3 * L).all(|step| step.abs() < LAST_STEP);
+        if promised <= small * place.squares && short {
+            place.lobes = moved;
+            return (place, true);
+        }
+        let trial = Place::<L, R>::new(views, moved, &place.linear);
+        if trial.squares < place.squares {
             place = trial;
             known = None;
             damping = (damping * 0.1).max(1e-9);
@@ -267,15 +294,68 @@ pub(super) fn refine<const L: usize, const R: usize>(
     (place, false)
 }
 
-/// The residuals of lobes whose radiance is settled stay in the last three of the rows, after root weight and values.
-pub(super) fn leave<const R: usize>(views: &mut Views, lobes: &[Lobe], linear: &[[f64; TERMS]; 3]) {
-    let Views { blocks, rows, .. } = views;
-    rows.resize(R * blocks.len().max(CHUNK), [0.0; lanes::WIDTH]);
-    let (rows, _) = rows.as_chunks_mut::<R>();
-    let rows = &mut rows[..blocks.len()];
-    for (l, lobe) in lobes.iter().enumerate() {
-        lanes::values(blocks, &lane_lobe(lobe, &turns(lobe.direction)), rows, 1 + l);
+/// One shininess for all lobes: the first one's stands for the sum.
+pub(super) fn tie(hessian: &mut [[f64; SEARCHED]; SEARCHED], gradient: &mut [f64; SEARCHED], lobes: usize) {
+    let n = 3 * lobes;
+    for i in 0..n {
+        for j in 0..i {
+            hessian[j][i] = hessian[i][j];
+        }
     }
-    let guess = linear.map(|values| values.map(|value| value as f32));
-    lanes::residuals(blocks, rows, &guess, 1 + lobes.len());
+    for other in (3..n).step_by(3) {
+        gradient[0] += gradient[other];
+        gradient[other] = 0.0;
+        for k in 0..n {
+            hessian[0][k] += hessian[other][k];
+        }
+        for k in 0..n {
+            hessian[k][0] += hessian[k][other];
+        }
+        for k in 0..n {
+            hessian[other][k] = 0.0;
+            hessian[k][other] = 0.0;
+        }
+        hessian[other][other] = 1.0;
+    }
+}
+
+/// Turns a lobe of given shininess to where it is best.
+pub(super) fn hold_shininess(views: &mut Views, lobe: Lobe, linear: &[[f64; TERMS]; 3]) -> Place<1, 8> {
+    let mut place = Place::<1, 8>::new(views, [lobe], linear);
+    let mut damping = 1e-4;
+    for _ in 0..12 {
+        let (hessian, gradient) = place.reduced();
+        let [a, b, c] = [hessian[1][1] * (1.0 + damping), hessian[2][1], hessian[2][2] * (1.0 + damping)];
+        let determinant = a * c - b * b;
+        if determinant <= 1e-12 * a * c {
+            break;
+        }
+        let mut step = [0.0; SEARCHED];
+        step[1] = (c * gradient[1] - b * gradient[2]) / determinant;
+        step[2] = (a * gradient[2] - b * gradient[1]) / determinant;
+        let promised = step[1] * gradient[1] + step[2] * gradient[2];
+        if promised <= 0.05 / (3.0 * views.count as f64) * place.squares {
+            break;
+        }
+        let [moved] = place.moved(&step, f64::INFINITY);
+        let trial = Place::<1, 8>::new(views, [moved], &place.linear);
+        if trial.squares < place.squares {
+            place = trial;
+            damping = (damping * 0.1).max(1e-9);
+        } else {
+            damping = (damping * 10.0).max(1e-2);
+        }
+    }
+    place
+}
+
+/// Leaves what lobes of given radiance do not explain in `left`.
+pub(super) fn leave(views: &mut Views, lobes: &[Lobe], linear: &[[f64; TERMS]; 3]) {
+    let Views { blocks, left, .. } = views;
+    left.resize(blocks.len(), [[0.0; lanes::WIDTH]; 3]);
+    let term = |t: usize| linear.map(|values| values[t] as f32);
+    lanes::leave(blocks, term(0), left);
+    for (l, lobe) in lobes.iter().enumerate() {
+        lanes::deduct(blocks, &lane_lobe(lobe, &turns(lobe.direction)), term(1 + l), left);
+    }
 }
