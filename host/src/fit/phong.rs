@@ -130,7 +130,9 @@ pub(super) fn refit(texel: &TexelObservations, parameters: &[f32], options: &Pho
         if views.count <= 4 * options.lobes {
             return Found::constant(views).report(views, options, None);
         }
-        polish(Found::of(parameters, views.unit), views, alone, options)
+        let coarse = Search { small: 3.0, ..search(options) };
+        let (found, _) = Found::of(parameters, views.unit).again(views, &coarse);
+        polish(found, views, alone, options)
     })
 }
 
@@ -141,19 +143,22 @@ fn search(options: &PhongOptions) -> Search {
 /// From lobes that are roughly right to a fit and its verdict.
 fn polish(mut found: Found, views: &mut Views, alone: &mut Views, options: &PhongOptions) -> PhongFit {
     let search = search(options);
-    found.leave(views);
-    found.scale(views.balance());
-    let mut changed = options.robust && views.count > 1 + 4 * options.lobes && views.reweight();
-    found = found.again(views, &search);
+    found.sort();
+    found.scale(views.balance(found.channels));
+    let mut changed = false;
+    if options.robust && views.count > 1 + 4 * options.lobes {
+        found.leave(views);
+        changed = views.reweight();
+    }
+    let mut covariance;
+    (found, covariance) = found.again(views, &search);
     for _ in 0..2 {
         if changed {
             found.leave(views);
             changed = views.reweight();
-            found = found.again(views, &search);
+            (found, covariance) = found.again(views, &search);
         }
     }
-    found.sort();
-    let mut covariance = found.conclude(views, &search);
     let mut left_out = 0;
     found.right = (0..found.lobes.len()).map(|l| found.judge(l, &covariance, views, alone)).collect();
     if options.identified_only {
@@ -162,9 +167,8 @@ fn polish(mut found: Found, views: &mut Views, alone: &mut Views, options: &Phon
         left_out = before - found.lobes.len();
         if left_out > 0 {
             let right = std::mem::take(&mut found.right);
-            found = found.again(views, &search);
+            (found, covariance) = found.again(views, &search);
             found.right = right;
-            covariance = found.conclude(views, &search);
         }
     }
     views.unweight();

@@ -59,11 +59,11 @@ impl Explored {
 impl Alone<'_> {
     pub fn explore(mut self) -> Explored {
         let mut basins = self.basins();
-        basins.sort_by(|a, b| a.squares.total_cmp(&b.squares));
-        let best = (basins[0].lobes[0], basins[0].squares);
+        basins.sort_by(|a, b| a.total().total_cmp(&b.total()));
+        let best = (basins[0].lobes[0], basins[0].total());
         let mut nodes: Vec<Node> = Vec::new();
         for basin in &basins {
-            let far = (basin.squares - best.1) / self.variance > 16.0;
+            let far = (basin.total() - best.1) / self.variance > 16.0;
             if !far && !nodes.iter().any(|node| same(node, basin, self.variance)) {
                 self.follow(basin, best.1, &mut nodes);
             }
@@ -73,7 +73,7 @@ impl Alone<'_> {
     }
 
     /// Refined places, from starts around the brightest view and from the lobe itself.
-    fn basins(&mut self) -> Vec<Place<1, 8>> {
+    fn basins(&mut self) -> Vec<Place<1, 3, 8>> {
         let (peak, neighbours) = self.views.peak();
         let mut directions = vec![self.lobe.direction, peak];
         for neighbour in &neighbours {
@@ -84,12 +84,12 @@ impl Alone<'_> {
         for direction in directions {
             for factor in [0.35, 1.0, 2.8] {
                 let lobe = Lobe { direction, shininess: (self.lobe.shininess * factor).clamp(1.0, SHARPEST) };
-                let place = Place::<1, 8>::new(self.views, [lobe], &self.linear);
-                starts.push((place.squares, lobe));
+                let place = Place::<1, 3, 8>::new(self.views, [lobe], &self.linear);
+                starts.push((place.total(), lobe));
             }
         }
         starts.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let mut basins = vec![refine::<1, 8>(self.views, [self.lobe], &self.linear, &SEARCH).0];
+        let mut basins = vec![refine::<1, 3, 8>(self.views, [self.lobe], &self.linear, &SEARCH).0];
         let mut taken: Vec<Lobe> = vec![self.lobe];
         for (_, start) in starts {
             let near = |other: &Lobe| {
@@ -98,7 +98,7 @@ impl Alone<'_> {
             };
             if !taken.iter().any(near) {
                 taken.push(start);
-                basins.push(refine::<1, 8>(self.views, [start], &self.linear, &SEARCH).0);
+                basins.push(refine::<1, 3, 8>(self.views, [start], &self.linear, &SEARCH).0);
                 if basins.len() > 5 {
                     break;
                 }
@@ -108,7 +108,7 @@ impl Alone<'_> {
     }
 
     /// Follows a basin's valley up and down the ladder of shininess, while it explains the views.
-    fn follow(&mut self, basin: &Place<1, 8>, least: f64, nodes: &mut Vec<Node>) {
+    fn follow(&mut self, basin: &Place<1, 3, 8>, least: f64, nodes: &mut Vec<Node>) {
         let (hessian, _) = basin.reduced();
         let turns = hessian[1][1] * hessian[2][2] - hessian[2][1] * hessian[2][1];
         let absorbed = (hessian[1][0] * hessian[1][0] * hessian[2][2]
@@ -129,7 +129,7 @@ impl Alone<'_> {
                 }
                 let lobe = Lobe { direction: place.lobes[0].direction, shininess: log.exp() };
                 place = hold_shininess(self.views, lobe, &place.linear);
-                if (place.squares - least) / self.variance > 16.0 {
+                if (place.total() - least) / self.variance > 16.0 {
                     break;
                 }
                 nodes.push(Node::new(&place, self.variance, step));
@@ -139,15 +139,15 @@ impl Alone<'_> {
 }
 
 /// Whether the basin is on a valley that was followed already.
-fn same(node: &Node, basin: &Place<1, 8>, variance: f64) -> bool {
+fn same(node: &Node, basin: &Place<1, 3, 8>, variance: f64) -> bool {
     let lobe = &basin.lobes[0];
     (lobe.shininess / node.lobe.shininess).ln().abs() < 0.1
         && lobe.direction.angle_between(node.lobe.direction) < node.sigma_rad[0].max(1e-3)
-        && (basin.squares - node.squares).abs() / variance < 4.0
+        && (basin.total() - node.squares).abs() / variance < 4.0
 }
 
 impl Node {
-    fn new(place: &Place<1, 8>, variance: f64, step: f64) -> Self {
+    fn new(place: &Place<1, 3, 8>, variance: f64, step: f64) -> Self {
         let (hessian, _) = place.reduced();
         let [a, b, c] = [hessian[1][1], hessian[2][1], hessian[2][2]].map(|value| value / variance);
         let (middle, half) = (0.5 * (a + c), (0.25 * (a - c) * (a - c) + b * b).sqrt());
@@ -155,7 +155,7 @@ impl Node {
         let sigma = |information: f64| 1.0 / information.max(1.0).sqrt();
         let sigma_rad = [sigma(middle - half), sigma(middle + half)];
         let log_volume = (sigma_rad[0] * sigma_rad[1] * step).ln();
-        Self { lobe: place.lobes[0], squares: place.squares, log_volume, sigma_rad }
+        Self { lobe: place.lobes[0], squares: place.total(), log_volume, sigma_rad }
     }
 
     /// The probability that the truth, if it is at this node, is near enough to `found`.

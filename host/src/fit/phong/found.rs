@@ -16,15 +16,23 @@ pub(super) struct Found {
     pub lobes: Vec<Lobe>,
     linear: [[f64; TERMS]; 3],
     squares: f64,
+    /// The same by channel.
+    pub channels: [f64; 3],
     converged: bool,
     /// The probability that each lobe is right, once judged.
     pub right: Vec<f64>,
 }
 
-impl<const L: usize, const R: usize> From<(Place<L, R>, bool)> for Found {
-    fn from((place, converged): (Place<L, R>, bool)) -> Self {
-        let Place { linear, squares, .. } = place;
-        Self { lobes: place.lobes.to_vec(), linear, squares, converged, right: Vec::new() }
+impl<const L: usize, const N: usize, const R: usize> From<(Place<L, N, R>, bool)> for Found {
+    fn from((place, converged): (Place<L, N, R>, bool)) -> Self {
+        Self {
+            lobes: place.lobes.to_vec(),
+            linear: place.linear,
+            squares: place.total(),
+            channels: place.squares,
+            converged,
+            right: Vec::new(),
+        }
     }
 }
 
@@ -34,7 +42,7 @@ impl Found {
         for (linear, mean) in linear.iter_mut().zip(views.mean) {
             linear[0] = mean;
         }
-        Self::from((Place::<0, 4>::new(views, [], &linear), true))
+        Self::from((Place::<0, 0, 4>::new(views, [], &linear), true))
     }
 
     /// The lobes of a model's parameters, those without radiance left out.
@@ -45,7 +53,7 @@ impl Found {
             values
         });
         let mut found =
-            Self { lobes: Vec::new(), linear, squares: 0.0, converged: true, right: Vec::new() };
+            Self { lobes: Vec::new(), linear, squares: 0.0, channels: [0.0; 3], converged: true, right: Vec::new() };
         let lobes = parameters[3..].chunks_exact(7).filter(|lobe| lobe[..3].iter().any(|ks| *ks > 0.0));
         for lobe in lobes.take(MOST_LOBES) {
             for (values, radiance) in found.linear.iter_mut().zip(lobe) {
@@ -62,14 +70,14 @@ impl Found {
     /// With one lobe more, refined together.
     pub fn grow(&self, views: &mut Views, search: &Search) -> Self {
         match self.lobes.len() {
-            0 => self.grown::<1, 8, 4, 5>(views, search),
-            1 => self.grown::<2, 12, 5, 6>(views, search),
-            2 => self.grown::<3, 16, 6, 7>(views, search),
-            _ => self.grown::<4, 20, 7, 8>(views, search),
+            0 => self.grown::<1, 3, 8, 4, 5>(views, search),
+            1 => self.grown::<2, 6, 12, 5, 6>(views, search),
+            2 => self.grown::<3, 9, 16, 6, 7>(views, search),
+            _ => self.grown::<4, 12, 20, 7, 8>(views, search),
         }
     }
 
-    fn grown<const L: usize, const R: usize, const K: usize, const S: usize>(
+    fn grown<const L: usize, const N: usize, const R: usize, const K: usize, const S: usize>(
         &self,
         views: &mut Views,
         search: &Search,
@@ -83,7 +91,7 @@ impl Found {
             if search.shared {
                 lobes[L - 1].shininess = lobes[0].shininess;
             }
-            Self::from(refine::<L, R>(views, lobes, &self.linear, search))
+            Self::from(refine::<L, N, R>(views, lobes, &self.linear, search))
         });
         found.min_by(|a, b| a.squares.total_cmp(&b.squares)).unwrap_or_else(|| self.clone())
     }
@@ -97,38 +105,30 @@ impl Found {
         self.squares > floor && count * (self.squares / more.squares.max(floor)).ln() > 6.0 * count.ln()
     }
 
-    /// Refines with other weights; lobes neither come nor go.
-    pub fn again(&self, views: &mut Views, search: &Search) -> Self {
+    /// Refines with other weights, and says how sure the result is; lobes neither come nor go.
+    pub fn again(&self, views: &mut Views, search: &Search) -> (Self, Covariance) {
         match *self.lobes.as_slice() {
-            [] => Self::from((Place::<0, 4>::new(views, [], &self.linear), true)),
-            [a] => Self::from(refine::<1, 8>(views, [a], &self.linear, search)),
-            [a, b] => Self::from(refine::<2, 12>(views, [a, b], &self.linear, search)),
-            [a, b, c] => Self::from(refine::<3, 16>(views, [a, b, c], &self.linear, search)),
-            [a, b, c, d, ..] => Self::from(refine::<4, 20>(views, [a, b, c, d], &self.linear, search)),
+            [] => Self::concluded((Place::<0, 0, 4>::new(views, [], &self.linear), true), views, search),
+            [a] => Self::concluded(refine::<1, 3, 8>(views, [a], &self.linear, search), views, search),
+            [a, b] => Self::concluded(refine::<2, 6, 12>(views, [a, b], &self.linear, search), views, search),
+            [a, b, c] => {
+                Self::concluded(refine::<3, 9, 16>(views, [a, b, c], &self.linear, search), views, search)
+            }
+            [a, b, c, d, ..] => {
+                Self::concluded(refine::<4, 12, 20>(views, [a, b, c, d], &self.linear, search), views, search)
+            }
         }
     }
 
-    /// Settles radiance and squares where the search ended, and says how sure that is.
-    pub fn conclude(&mut self, views: &mut Views, search: &Search) -> Covariance {
-        match *self.lobes.as_slice() {
-            [] => self.concluded::<0, 4>(views, [], search),
-            [a] => self.concluded::<1, 8>(views, [a], search),
-            [a, b] => self.concluded::<2, 12>(views, [a, b], search),
-            [a, b, c] => self.concluded::<3, 16>(views, [a, b, c], search),
-            [a, b, c, d, ..] => self.concluded::<4, 20>(views, [a, b, c, d], search),
-        }
-    }
-
-    fn concluded<const L: usize, const R: usize>(
-        &mut self,
-        views: &mut Views,
-        lobes: [Lobe; L],
+    fn concluded<const L: usize, const N: usize, const R: usize>(
+        (place, converged): (Place<L, N, R>, bool),
+        views: &Views,
         search: &Search,
-    ) -> Covariance {
-        let place = Place::<L, R>::new(views, lobes, &self.linear);
-        (self.linear, self.squares) = (place.linear, place.squares);
+    ) -> (Self, Covariance) {
+        let found = Self::from((place, converged));
         let scale = views.channels.map(|factor| views.unit / factor);
-        Covariance::new(&place, search, self.variance(views), scale)
+        let covariance = Covariance::new(&place, search, found.variance(views), scale);
+        (found, covariance)
     }
 
     /// Variance of a residual whose weight is 1: what is left says it, and what was stated counts as much as four
@@ -152,7 +152,7 @@ impl Found {
         let linear = within(DIRECTION_RAD, wide_rad) * within(DIRECTION_RAD, narrow_rad) * shininess;
         let variance = self.variance(views);
         // Least squares are blind to what lies far off only if that far off is hopeless already.
-        if linear < 0.02 || (linear > 0.999 && self.seen(l, views, variance) >= 8) {
+        if linear < 0.02 || (linear > 0.999 && self.seen(l, views, variance) >= 6) {
             return linear;
         }
         let (mut others, lobe) = (self.clone(), self.lobes[l]);

@@ -6,34 +6,20 @@ use multiversion::multiversion;
 
 use super::lanes::{Block, Lane, WIDTH, total};
 
-/// The greatest radiance, or NaN where anything is not finite.
+/// The greatest radiance, or NaN where any is not finite.
 #[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
-pub(super) fn brightest_value(directions: &[Vec3], radiance: &[[f32; 3]], sigma: &[f32]) -> f32 {
+pub(super) fn brightest_value(radiance: &[[f32; 3]]) -> f32 {
     let (mut most, mut strange) = ([0.0_f32; WIDTH], [0.0_f32; WIDTH]);
     let (chunks, rest) = radiance.as_flattened().as_chunks::<WIDTH>();
     for chunk in chunks {
         for lane in 0..WIDTH {
             most[lane] = most[lane].max(chunk[lane].abs());
-            strange[lane] += 0.0 * chunk[lane];
         }
-    }
-    let (chunks, sigma_rest) = sigma.as_chunks::<WIDTH>();
-    for chunk in chunks {
         for lane in 0..WIDTH {
             strange[lane] += 0.0 * chunk[lane];
         }
     }
-    let mut strange: f32 = strange.iter().sum();
-    strange += rest.iter().chain(sigma_rest).map(|value| 0.0 * value).sum::<f32>();
-    let (chunks, directions) = directions.as_chunks::<WIDTH>();
-    let mut strange_directions = [0.0_f32; WIDTH];
-    for chunk in chunks {
-        for (strange, d) in strange_directions.iter_mut().zip(chunk) {
-            *strange += 0.0 * d.x + 0.0 * d.y + 0.0 * d.z;
-        }
-    }
-    strange += strange_directions.iter().sum::<f32>();
-    strange += directions.iter().map(|d| 0.0 * d.x + 0.0 * d.y + 0.0 * d.z).sum::<f32>();
+    let strange = strange.iter().sum::<f32>() + rest.iter().map(|value| 0.0 * value).sum::<f32>();
     most.iter().chain(rest).fold(0.0, |most: f32, value| most.max(value.abs())) + strange
 }
 
@@ -46,7 +32,8 @@ pub(super) struct Error {
     pub floor_squared: f32,
 }
 
-/// Lays eight views out; the root weight is 1 / expected error, to be scaled later.
+/// Lays views out, eight by eight; the root weight is 1 / expected error, to be scaled later. Gives 0, or NaN where a direction
+/// or a standard deviation is not finite.
 #[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
 pub(super) fn lay(
     directions: &[Vec3],
@@ -54,12 +41,22 @@ pub(super) fn lay(
     sigma: &[f32],
     error: Error,
     blocks: &mut Vec<Block>,
-) {
+) -> f32 {
+    let mut strange = [0.0_f32; WIDTH];
     let (directions, last_directions) = directions.as_chunks::<WIDTH>();
     let (radiance, last_radiance) = radiance.as_chunks::<WIDTH>();
     let (sigma, last_sigma) = sigma.as_chunks::<WIDTH>();
     for ((directions, radiance), sigma) in directions.iter().zip(radiance).zip(sigma) {
-        blocks.push(block(directions, radiance, sigma, error));
+        let block = block(directions, radiance, sigma, error);
+        for axis in block.direction {
+            for lane in 0..WIDTH {
+                strange[lane] += 0.0 * axis[lane];
+            }
+        }
+        for lane in 0..WIDTH {
+            strange[lane] += 0.0 * sigma[lane];
+        }
+        blocks.push(block);
     }
     let left = last_directions.len();
     if left > 0 {
@@ -69,8 +66,12 @@ pub(super) fn lay(
         sigma[..left].copy_from_slice(last_sigma);
         let mut block = block(&directions, &radiance, &sigma, error);
         block.root_weight[left..].fill(0.0);
+        for lane in 0..WIDTH {
+            strange[lane] += 0.0 * directions[lane].x + 0.0 * directions[lane].y + 0.0 * directions[lane].z + 0.0 * sigma[lane];
+        }
         blocks.push(block);
     }
+    strange.iter().sum()
 }
 
 #[inline(always)]
@@ -109,6 +110,18 @@ pub(super) fn scale(views: &mut [Block], factors: &[Lane]) {
         for c in 0..3 {
             for lane in 0..WIDTH {
                 block.radiance[c][lane] *= factor[lane];
+            }
+        }
+    }
+}
+
+/// Multiplies the weighted radiance of each channel.
+#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
+pub(super) fn scale_channels(views: &mut [Block], factors: [f32; 3]) {
+    for block in views {
+        for (channel, factor) in block.radiance.iter_mut().zip(factors) {
+            for lane in 0..WIDTH {
+                channel[lane] *= factor;
             }
         }
     }

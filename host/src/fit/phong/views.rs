@@ -47,21 +47,23 @@ impl Views {
         let count = texel.direction.len().min(texel.radiance.len()).min(texel.sigma.len());
         let (direction, radiance) = (&texel.direction[..count], &texel.radiance[..count]);
         let sigma = &texel.sigma[..count];
-        let brightest = layout::brightest_value(direction, radiance, sigma);
+        let brightest = layout::brightest_value(radiance);
         if !brightest.is_finite() {
             return self.fill(&finite(texel), relative_error, floor);
         }
         // A power of two loses no digit.
         self.unit = f64::from(brightest).clamp(1e-30, 1e30).log2().floor().exp2();
-        let floor = (floor / self.unit).clamp(1e-15, 1e15) as f32;
+        let floor_units = (floor / self.unit).clamp(1e-15, 1e15) as f32;
         let error = layout::Error {
             per_unit: (1.0 / self.unit) as f32,
             relative_squared: (relative_error * relative_error / 9.0) as f32,
-            floor_squared: floor * floor,
+            floor_squared: floor_units * floor_units,
         };
         self.count = count;
         self.blocks.clear();
-        layout::lay(direction, radiance, sigma, error, &mut self.blocks);
+        if layout::lay(direction, radiance, sigma, error, &mut self.blocks).is_nan() {
+            return self.fill(&finite(texel), relative_error, floor);
+        }
         let most = self.blocks.iter().flat_map(|block| block.root_weight).fold(0.0, f32::max);
         self.error = 1.0 / f64::from(most.max(f32::MIN_POSITIVE));
         let [weight, red, green, blue, energy] = layout::weigh(&mut self.blocks, self.error as f32);
@@ -87,22 +89,12 @@ impl Views {
     }
 
     /// Scales the channels so that they leave equally much: their noise differs, and the views know it better than a
-    /// standard deviation common to them. Gives what each was multiplied by.
-    pub fn balance(&mut self) -> [f64; 3] {
-        let mut squares = [0.0_f64; 3];
-        for left in &self.left {
-            for c in 0..3 {
-                squares[c] += f64::from(lanes::total(left[c].map(|value| value * value)) as f32);
-            }
-        }
+    /// standard deviation common to them. `squares` are what each leaves; gives what each was multiplied by.
+    pub fn balance(&mut self, squares: [f64; 3]) -> [f64; 3] {
         let mean = squares.iter().sum::<f64>() / 3.0;
         let least = super::refine::ROUNDING * self.energy;
         let factors = squares.map(|sum| ((mean + least) / (sum + least)).sqrt().clamp(0.25, 4.0));
-        for block in &mut self.blocks {
-            for c in 0..3 {
-                block.radiance[c] = block.radiance[c].map(|value| value * factors[c] as f32);
-            }
-        }
+        layout::scale_channels(&mut self.blocks, factors.map(|factor| factor as f32));
         for c in 0..3 {
             self.channels[c] *= factors[c];
         }
