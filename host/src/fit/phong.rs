@@ -32,10 +32,6 @@ use views::Views;
 /// The most lobes that are fitted to one texel.
 pub(super) const MOST_LOBES: usize = 4;
 
-/// A lobe counts as identified where it is right (direction within 1 degree, shininess within 20 %) with this
-/// probability.
-pub(super) const IDENTIFIED: f64 = 0.9;
-
 #[derive(Debug, Clone, Copy)]
 struct Lobe {
     direction: DVec3,
@@ -56,6 +52,9 @@ pub(super) struct PhongOptions {
     pub floor: f64,
     /// Views that disagree with the rest count less.
     pub robust: bool,
+    /// A lobe counts as identified where it is right (direction within 1 degree, shininess within 20 %) with at least
+    /// this probability.
+    pub identified: f64,
     /// Lobes that are not identified are left out, and the others fitted without them.
     pub identified_only: bool,
 }
@@ -72,8 +71,8 @@ pub(super) struct PhongFit {
     /// Of each lobe that has radiance, the probability that its direction is within 1 degree of the truth and its shininess
     /// within 20 %.
     pub right: Vec<f64>,
-    /// Lobes that earned their numbers and were left out, not being identified.
-    pub left_out: usize,
+    /// Whether all lobes that earned their numbers are identified.
+    pub identified: bool,
     /// `None` where there were too few views.
     pub covariance: Option<Box<Covariance>>,
     /// How many views are usable.
@@ -84,11 +83,6 @@ pub(super) struct PhongFit {
 }
 
 impl PhongFit {
-    /// Whether the views determine every lobe that was found.
-    pub fn identified(&self) -> bool {
-        self.left_out == 0 && self.right.iter().all(|right| *right >= IDENTIFIED)
-    }
-
     /// Predicted standard deviation of the model's radiance toward a unit direction, by the uncertainty of its
     /// coefficients; infinite where nothing is known of it.
     pub fn sigma(&self, direction: DVec3) -> [f64; 3] {
@@ -159,18 +153,15 @@ fn polish(mut found: Found, views: &mut Views, alone: &mut Views, options: &Phon
             (found, covariance) = found.again(views, &search);
         }
     }
-    let mut left_out = 0;
     found.right = (0..found.lobes.len()).map(|l| found.judge(l, &covariance, views, alone)).collect();
-    if options.identified_only {
-        let before = found.lobes.len();
-        found.keep(|right| right >= IDENTIFIED);
-        left_out = before - found.lobes.len();
-        if left_out > 0 {
-            let right = std::mem::take(&mut found.right);
-            (found, covariance) = found.again(views, &search);
-            found.right = right;
-        }
+    let sure = |right: f64| right >= options.identified;
+    let identified = found.right.iter().all(|right| sure(*right));
+    if options.identified_only && !identified {
+        found.keep(sure);
+        let right = std::mem::take(&mut found.right);
+        (found, covariance) = found.again(views, &search);
+        found.right = right;
     }
     views.unweight();
-    PhongFit { left_out, ..found.report(views, options, Some(Box::new(covariance))) }
+    PhongFit { identified, ..found.report(views, options, Some(Box::new(covariance))) }
 }

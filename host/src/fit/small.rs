@@ -58,7 +58,8 @@ pub(super) fn nonnegative<const N: usize>(
     n: usize,
 ) -> ([f64; N], u8, f64) {
     let all = (1_u8 << n) - 1;
-    if let Some(values) = solve(gram, right, n).filter(|values| values[..n].iter().all(|value| *value >= 0.0)) {
+    if let Some(values) = solve(gram, right, n).filter(|values| values[..n].iter().all(|value| *value >= 0.0))
+    {
         let gain = values.iter().zip(right).take(n).map(|(value, right)| value * right).sum();
         return (values, all, gain);
     }

@@ -4,9 +4,9 @@
 
 use glam::DVec3;
 
-use super::refine::{Place, Search, TERMS, tie, turns};
 use super::super::small::{block, cholesky, substitute};
 use super::Lobe;
+use super::refine::{Place, Search, TERMS, tie, turns};
 
 /// Covariance of shininess, directions and radiance of some lobes, kept in the parts from which any of it follows.
 #[derive(Debug, Clone)]
@@ -69,8 +69,11 @@ impl Covariance {
             let set = &self.sets[c.min(self.sets.len() - 1)];
             let slope: Vec<f64> = (0..3 * lobes)
                 .map(|j| {
-                    let absorbed: f64 =
-                        value.iter().enumerate().map(|(i, value)| set.absorbed[i * 3 * lobes + j] * value).sum();
+                    let absorbed: f64 = value
+                        .iter()
+                        .enumerate()
+                        .map(|(i, value)| set.absorbed[i * 3 * lobes + j] * value)
+                        .sum();
                     self.radiance[c][1 + j / 3] * (derived[j] - absorbed)
                 })
                 .collect();

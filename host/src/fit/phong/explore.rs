@@ -39,8 +39,6 @@ pub(super) struct Explored {
     nodes: Vec<Node>,
     least: f64,
     variance: f64,
-    pub best: Lobe,
-    pub best_squares: f64,
 }
 
 impl Explored {
@@ -60,16 +58,16 @@ impl Alone<'_> {
     pub fn explore(mut self) -> Explored {
         let mut basins = self.basins();
         basins.sort_by(|a, b| a.total().total_cmp(&b.total()));
-        let best = (basins[0].lobes[0], basins[0].total());
+        let best = basins[0].total();
         let mut nodes: Vec<Node> = Vec::new();
         for basin in &basins {
-            let far = (basin.total() - best.1) / self.variance > 16.0;
+            let far = (basin.total() - best) / self.variance > 16.0;
             if !far && !nodes.iter().any(|node| same(node, basin, self.variance)) {
-                self.follow(basin, best.1, &mut nodes);
+                self.follow(basin, best, &mut nodes);
             }
         }
-        let least = nodes.iter().map(|node| node.squares).fold(best.1, f64::min);
-        Explored { nodes, least, variance: self.variance, best: best.0, best_squares: best.1 }
+        let least = nodes.iter().map(|node| node.squares).fold(best, f64::min);
+        Explored { nodes, least, variance: self.variance }
     }
 
     /// Refined places, from starts around the brightest view and from the lobe itself.

@@ -52,8 +52,14 @@ impl Found {
             values[0] = f64::from(parameters[c]) / unit;
             values
         });
-        let mut found =
-            Self { lobes: Vec::new(), linear, squares: 0.0, channels: [0.0; 3], converged: true, right: Vec::new() };
+        let mut found = Self {
+            lobes: Vec::new(),
+            linear,
+            squares: 0.0,
+            channels: [0.0; 3],
+            converged: true,
+            right: Vec::new(),
+        };
         let lobes = parameters[3..].chunks_exact(7).filter(|lobe| lobe[..3].iter().any(|ks| *ks > 0.0));
         for lobe in lobes.take(MOST_LOBES) {
             for (values, radiance) in found.linear.iter_mut().zip(lobe) {
@@ -148,7 +154,8 @@ impl Found {
     pub fn judge(&self, l: usize, covariance: &Covariance, views: &mut Views, alone: &mut Views) -> f64 {
         let ([wide_rad, narrow_rad], sigma) = covariance.lobe(l);
         let within = |tolerance: f64, sigma: f64| 2.0 * normal(tolerance / sigma) - 1.0;
-        let shininess = normal((1.0 + SHININESS_PART).ln() / sigma) - normal((1.0 - SHININESS_PART).ln() / sigma);
+        let shininess =
+            normal((1.0 + SHININESS_PART).ln() / sigma) - normal((1.0 - SHININESS_PART).ln() / sigma);
         let linear = within(DIRECTION_RAD, wide_rad) * within(DIRECTION_RAD, narrow_rad) * shininess;
         let variance = self.variance(views);
         // Least squares are blind to what lies far off only if that far off is hopeless already.
@@ -231,14 +238,14 @@ impl Found {
     ) -> PhongFit {
         let mut at_bound = false;
         let term = |t: usize| {
-            [0, 1, 2].map(|c| (self.linear[c][t] * views.unit / views.channels[c]).min(f64::from(f32::MAX)) as f32)
+            [0, 1, 2]
+                .map(|c| (self.linear[c][t] * views.unit / views.channels[c]).min(f64::from(f32::MAX)) as f32)
         };
         let mut parameters = Vec::with_capacity(3 + 7 * options.lobes);
         parameters.extend(term(0));
         for (l, Lobe { direction, shininess }) in self.lobes.iter().enumerate() {
-            at_bound |= *shininess <= *SHININESS.start()
-                || *shininess >= options.shininess_max
-                || direction.z <= 0.0;
+            at_bound |=
+                *shininess <= *SHININESS.start() || *shininess >= options.shininess_max || direction.z <= 0.0;
             parameters.extend(term(1 + l));
             parameters.push(*shininess as f32);
             parameters.extend(direction.as_vec3().to_array());
@@ -253,7 +260,7 @@ impl Found {
             at_bound,
             converged: self.converged,
             right: self.right,
-            left_out: 0,
+            identified: true,
             covariance,
             views: views.count,
             residual: (weighted / (3.0 * views.count.max(1) as f64)).sqrt(),

@@ -67,7 +67,10 @@ pub(super) fn lay(
         let mut block = block(&directions, &radiance, &sigma, error);
         block.root_weight[left..].fill(0.0);
         for lane in 0..WIDTH {
-            strange[lane] += 0.0 * directions[lane].x + 0.0 * directions[lane].y + 0.0 * directions[lane].z + 0.0 * sigma[lane];
+            strange[lane] += 0.0 * directions[lane].x
+                + 0.0 * directions[lane].y
+                + 0.0 * directions[lane].z
+                + 0.0 * sigma[lane];
         }
         blocks.push(block);
     }

@@ -236,12 +236,7 @@ impl<const L: usize, const N: usize, const R: usize> Place<L, N, R> {
     }
 
     /// Takes away from matrix and gradient what would leave the bounds.
-    fn hold(
-        &self,
-        hessian: &mut [[f64; N]; N],
-        gradient: &mut [f64; N],
-        shininess_max: f64,
-    ) {
+    fn hold(&self, hessian: &mut [[f64; N]; N], gradient: &mut [f64; N], shininess_max: f64) {
         for l in 0..L {
             let Lobe { direction, shininess } = self.lobes[l];
             let (shine, up) = (gradient[3 * l], gradient[3 * l + 2]);

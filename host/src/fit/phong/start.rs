@@ -20,7 +20,7 @@ pub(super) fn starts<const R: usize, const S: usize>(
     shininess_max: f64,
 ) -> Vec<Lobe> {
     leave(views, known, linear);
-    let directions = directions(views, !known.is_empty());
+    let directions = directions(views);
     let Views { blocks, rows, left, values, .. } = views;
     rows.resize((R * blocks.len()).max(rows.len()), [0.0; lanes::WIDTH]);
     let rows = &mut rows.as_chunks_mut::<R>().0[..blocks.len()];
@@ -89,8 +89,8 @@ fn summit(gains: &[f64; RUNGS], best: usize) -> f64 {
 }
 
 /// Directions that may carry the highlight: the brightest residual, its neighbourhood's centre, the centre of all
-/// that is bright, and, if asked for, the brightest far from the first.
-fn directions(views: &mut Views, far: bool) -> Vec<Vec3> {
+/// that is bright, and the brightest far from the first: which may be glare.
+fn directions(views: &mut Views) -> Vec<Vec3> {
     let Views { blocks, left, values, .. } = views;
     values.resize(blocks.len(), [0.0; lanes::WIDTH]);
     lanes::brightness(blocks, left, values);
@@ -98,7 +98,7 @@ fn directions(views: &mut Views, far: bool) -> Vec<Vec3> {
         DVec3::from(lanes::centre(blocks, values, around, cosine)).try_normalize().map(|d| d.as_vec3())
     };
     let first = lanes::brightest(blocks, values, [0.0; 3], 1.0).unwrap_or([0.0, 0.0, 1.0]);
-    let second = if far { lanes::brightest(blocks, values, first, 0.9) } else { None };
+    let second = lanes::brightest(blocks, values, first, 0.9);
     [centre(first, 0.95).or(Some(first.into())), centre([0.0; 3], -1.0), second.map(Vec3::from)]
         .into_iter()
         .flatten()

@@ -3,10 +3,10 @@
 
 use glam::{DVec3, Vec3};
 
+use super::Lobe;
 use super::lanes::{self, Block, Lane, WIDTH};
 use super::layout;
 use super::refine::{lane_lobe, turns};
-use super::Lobe;
 use crate::observation::TexelObservations;
 
 /// Directions, root weights and weighted radiance in single precision, in blocks of [`WIDTH`]; what is missing in the
