@@ -6,7 +6,7 @@ use nalgebra::DMatrix;
 use super::harmonics::{self, HarmonicsMethod, Smooth, SmoothFit, Weighing};
 use super::log_quadratic;
 use super::model::{Model, SHININESS};
-use super::phong::{self, PhongOptions};
+use super::phong::{self, PhongFit, PhongOptions};
 use super::weights::Samples;
 use crate::observation::TexelObservations;
 use crate::{Error, Result};
@@ -22,11 +22,14 @@ pub struct FitOptions {
     pub robust: bool,
     /// Weight of the harmonics' smoothness; `None`: chosen for the surface by generalised cross-validation.
     pub penalty: Option<f64>,
+    /// Lobes that the views do not determine are left out, the others fitted without them. Otherwise they stay, being
+    /// the best guess between the views, and are flagged all the same.
+    pub identified_only: bool,
 }
 
 impl Default for FitOptions {
     fn default() -> Self {
-        Self { relative_error: 0.03, floor: None, robust: true, penalty: None }
+        Self { relative_error: 0.03, floor: None, robust: true, penalty: None, identified_only: false }
     }
 }
 
@@ -43,6 +46,9 @@ impl FitFlags {
     pub const AT_BOUND: Self = Self(4);
     /// The search ran out of steps.
     pub const NOT_CONVERGED: Self = Self(8);
+    /// The views do not determine a lobe: its direction may be off by more than 1 degree or its shininess by more than
+    /// 20 %, though the fit reproduces what was measured.
+    pub const UNIDENTIFIED: Self = Self(16);
 
     /// Whether all flags of `other` are set.
     pub fn contains(self, other: Self) -> bool {
@@ -76,6 +82,8 @@ pub struct Fitter {
     options: FitOptions,
     floor: f64,
     shininess_max: f64,
+    /// A lobe counts as identified where it is right with at least this probability.
+    identified: f64,
     gram: Option<nalgebra::Cholesky<f64, nalgebra::Dyn>>,
     smooth: Option<Smooth>,
 }
@@ -107,9 +115,13 @@ impl Fitter {
             options: *options,
             floor,
             shininess_max: sharpest(sample),
+            identified: 0.95,
             gram: None,
             smooth: None,
         };
+        if let Model::Phong { .. } = model {
+            fitter.identified = fitter.sure_enough(sample);
+        }
         if let Model::Harmonics { order, method } = model {
             match method {
                 HarmonicsMethod::Mirrored | HarmonicsMethod::Hemispherical | HarmonicsMethod::Smoothed => {
@@ -165,8 +177,8 @@ impl Fitter {
     }
 
     fn fit_one(&self, texel: &TexelObservations) -> TexelFit {
-        if let Model::Phong { lobes } = self.model {
-            return self.lobes(texel, usize::from(lobes));
+        if let Some(options) = self.phong_options() {
+            return self.lobes(phong::fit(texel, &options));
         }
         let mut samples = Samples::of(texel, self.options.relative_error, self.floor);
         let weights = samples.weights.clone();
@@ -188,23 +200,74 @@ impl Fitter {
         TexelFit { parameters, residual, relative_residual, views: samples.len() as u32, flags }
     }
 
-    fn lobes(&self, texel: &TexelObservations, lobes: usize) -> TexelFit {
-        let fit = phong::fit(
-            texel,
-            &PhongOptions {
-                lobes,
-                shininess_max: self.shininess_max,
-                relative_error: self.options.relative_error,
-                floor: self.floor,
-                robust: self.options.robust,
-            },
-        );
+    /// Fits one texel, and predicts how far its radiance (RGB) toward some directions (unit vectors) may be off because
+    /// the coefficients are uncertain: one standard deviation each. `None` for models that do not say.
+    pub fn fit_toward(
+        &self,
+        texel: &TexelObservations,
+        toward: &[DVec3],
+    ) -> (TexelFit, Option<Vec<[f64; 3]>>) {
+        let Some(options) = self.phong_options() else { return (self.fit(texel), None) };
+        let fit = phong::fit(texel, &options);
+        let sigma = toward.iter().map(|direction| fit.sigma(*direction)).collect();
+        (self.lobes(fit), Some(sigma))
+    }
+
+    /// Fits one texel from parameters that are roughly right: a neighbour's, or those of an earlier fit. Of the models, only
+    /// lobes are searched for; the others are fitted as [`Fitter::fit`] does.
+    pub fn fit_from(&self, texel: &TexelObservations, parameters: &[f32]) -> TexelFit {
+        match self.phong_options() {
+            Some(options) if parameters.len() == self.model.parameter_count() => {
+                self.lobes(phong::refit(texel, parameters, &options))
+            }
+            _ => self.fit(texel),
+        }
+    }
+
+    fn phong_options(&self) -> Option<PhongOptions> {
+        let Model::Phong { lobes } = self.model else { return None };
+        Some(PhongOptions {
+            lobes: usize::from(lobes),
+            shared_shininess: false,
+            shininess_max: self.shininess_max,
+            relative_error: self.options.relative_error,
+            floor: self.floor,
+            robust: self.options.robust,
+            identified: self.identified,
+            identified_only: self.options.identified_only,
+        })
+    }
+
+    /// The smallest probability of being right that still leaves all lobes above it right in 98.5 of 100 cases, on this
+    /// surface: where most are certain, a doubtful one more does little harm; where none is, each must be sure.
+    fn sure_enough(&self, sample: &[TexelObservations]) -> f64 {
+        let Some(options) = self.phong_options() else { return 1.0 };
+        let stride = sample.len().div_ceil(200).max(1);
+        let texels = sample.iter().step_by(stride);
+        let mut right: Vec<f64> = texels.flat_map(|texel| phong::fit(texel, &options).right).collect();
+        if right.len() < 20 {
+            return 0.95;
+        }
+        right.sort_by(|a, b| b.total_cmp(a));
+        let (mut sum, mut least) = (0.0, 1.0);
+        for (index, probability) in right.iter().enumerate() {
+            sum += probability;
+            if sum < 0.985 * (index + 1) as f64 {
+                break;
+            }
+            least = *probability;
+        }
+        least.clamp(0.75, 0.97)
+    }
+
+    fn lobes(&self, fit: PhongFit) -> TexelFit {
         let mut flags = FitFlags::default();
         for (is, flag) in [
             (fit.views == 0, FitFlags::NO_VIEWS),
             (fit.views < self.model.unknowns(), FitFlags::TOO_FEW_VIEWS),
             (fit.at_bound, FitFlags::AT_BOUND),
             (!fit.converged, FitFlags::NOT_CONVERGED),
+            (!fit.identified, FitFlags::UNIDENTIFIED),
         ] {
             if is {
                 flags.set(flag);

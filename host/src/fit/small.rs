@@ -58,8 +58,10 @@ pub(super) fn nonnegative<const N: usize>(
     n: usize,
 ) -> ([f64; N], u8, f64) {
     let all = (1_u8 << n) - 1;
-    if let Some(found) = on_set(gram, right, n, all) {
-        return found;
+    if let Some(values) = solve(gram, right, n).filter(|values| values[..n].iter().all(|value| *value >= 0.0))
+    {
+        let gain = values.iter().zip(right).take(n).map(|(value, right)| value * right).sum();
+        return (values, all, gain);
     }
     // So few unknowns that trying every set is the simplest exact method.
     let mut best = ([0.0; N], 0, 0.0);

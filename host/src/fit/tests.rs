@@ -215,7 +215,13 @@ fn smoothing_beats_plain_least_squares_and_both_beat_quadrature() {
         everywhere.iter().partition(|d| f64::from(d.z) >= zenith_max.cos());
     let errors = |name: &str, penalty: Option<f64>| {
         let model = Model::parse(name).unwrap();
-        let options = FitOptions { penalty, robust: false, relative_error: 0.0, floor: Some(0.05) };
+        let options = FitOptions {
+            penalty,
+            robust: false,
+            relative_error: 0.0,
+            floor: Some(0.05),
+            ..FitOptions::default()
+        };
         let fit = Fitter::new(model, &options, std::slice::from_ref(&texel)).unwrap().fit(&texel);
         let error = |over: &[Vec3]| rms(model, &fit.parameters, |d| PHONG.radiance(&truth, d), over);
         (error(&inside), error(&below))

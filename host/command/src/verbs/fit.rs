@@ -97,6 +97,10 @@ fn summarise(fitted: &ParameterMap) {
         ),
         (FitFlags::AT_BOUND, "have a parameter at its bound"),
         (FitFlags::NOT_CONVERGED, "did not converge"),
+        (
+            FitFlags::UNIDENTIFIED,
+            "have a lobe that their views do not determine: what lies between the views is a guess there",
+        ),
     ] {
         let count = diagnostics.flags.iter().filter(|flags| flags.contains(flag)).count();
         if count > 0 {

@@ -4,7 +4,6 @@
 //! run in [`WIDTH`] separate lanes, because floating-point addition may not be reordered for us.
 #![expect(clippy::needless_range_loop, reason = "lane by lane is what the compiler turns into vectors")]
 
-use glam::Vec3;
 use multiversion::multiversion;
 
 /// Views that are treated at once.
@@ -19,6 +18,15 @@ pub(super) struct Block {
     pub direction: [Lane; 3],
     pub root_weight: Lane,
     pub radiance: [Lane; 3],
+}
+
+impl Block {
+    /// No views: they count nothing.
+    pub const EMPTY: Self = Self {
+        direction: [[0.0; WIDTH], [0.0; WIDTH], [1.0; WIDTH]],
+        root_weight: [0.0; WIDTH],
+        radiance: [[0.0; WIDTH]; 3],
+    };
 }
 
 /// A lobe as the loops want it.
@@ -109,19 +117,24 @@ pub(super) fn columns<const R: usize>(
     }
 }
 
+#[inline(always)]
+fn value(block: &Block, lobe: &LaneLobe, lane: usize) -> f32 {
+    let cosine = dot(&block.direction, lobe.direction, lane);
+    let inside = cosine.max(lobe.cosine_cut).min(1.0);
+    let b = block.root_weight[lane] * exp(lobe.shininess * ln(inside));
+    if cosine > lobe.cosine_cut { b } else { 0.0 }
+}
+
 /// The value of a lobe alone, times the root weight.
 #[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
-pub(super) fn values<const R: usize>(views: &[Block], lobe: &LaneLobe, rows: &mut [[Lane; R]], value: usize) {
-    assert!(value < R);
+pub(super) fn values<const R: usize>(views: &[Block], lobe: &LaneLobe, rows: &mut [[Lane; R]], at: usize) {
+    assert!(at < R);
     for (block, rows) in views.iter().zip(rows) {
         let mut column = [0.0_f32; WIDTH];
         for lane in 0..WIDTH {
-            let cosine = dot(&block.direction, lobe.direction, lane);
-            let inside = cosine.max(lobe.cosine_cut).min(1.0);
-            let b = block.root_weight[lane] * exp(lobe.shininess * ln(inside));
-            column[lane] = if cosine > lobe.cosine_cut { b } else { 0.0 };
+            column[lane] = value(block, lobe, lane);
         }
-        rows[value] = column;
+        rows[at] = column;
     }
 }
 
@@ -225,19 +238,18 @@ pub(super) fn rung<const R: usize, const S: usize>(
 }
 
 #[inline(always)]
-fn total(lanes: Lane) -> f64 {
+pub(super) fn total(lanes: Lane) -> f64 {
     lanes.iter().map(|lane| f64::from(*lane)).sum()
 }
 
-/// The residual of each view summed over the channels, as radiance; the last three rows hold it weighted. Very dark where
-/// there is no view.
+/// What is left of each view summed over the channels, as radiance; very dark where there is no view.
 #[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
-pub(super) fn brightness<const R: usize>(rows: &[[Lane; R]], out: &mut [Lane]) {
-    for (row, out) in rows.iter().zip(out) {
+pub(super) fn brightness(views: &[Block], left: &[[Lane; 3]], out: &mut [Lane]) {
+    for ((block, left), out) in views.iter().zip(left).zip(out) {
         for lane in 0..WIDTH {
-            let sum = row[R - 3][lane] + row[R - 2][lane] + row[R - 1][lane];
-            let bright = sum / row[0][lane].max(1e-30);
-            out[lane] = if row[0][lane] > 0.0 { bright } else { f32::MIN };
+            let root = block.root_weight[lane];
+            let bright = (left[0][lane] + left[1][lane] + left[2][lane]) / root.max(1e-30);
+            out[lane] = if root > 0.0 { bright } else { f32::MIN };
         }
     }
 }
@@ -287,172 +299,66 @@ pub(super) fn brightest(
     Some(views[at[lane] as usize].direction.map(|axis| axis[lane]))
 }
 
-/// The greatest radiance, or NaN where anything is not finite.
+/// What a constant leaves of the weighted radiance.
 #[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
-pub(super) fn brightest_value(directions: &[Vec3], radiance: &[[f32; 3]], sigma: &[f32]) -> f32 {
-    let (mut most, mut strange) = ([0.0_f32; WIDTH], [0.0_f32; WIDTH]);
-    let (chunks, rest) = radiance.as_flattened().as_chunks::<WIDTH>();
-    for chunk in chunks {
-        for lane in 0..WIDTH {
-            most[lane] = most[lane].max(chunk[lane].abs());
-            strange[lane] += 0.0 * chunk[lane];
+pub(super) fn leave(views: &[Block], constant: [f32; 3], left: &mut [[Lane; 3]]) {
+    for (block, left) in views.iter().zip(left) {
+        for c in 0..3 {
+            for lane in 0..WIDTH {
+                left[c][lane] = (-constant[c]).mul_add(block.root_weight[lane], block.radiance[c][lane]);
+            }
         }
     }
-    let (chunks, sigma_rest) = sigma.as_chunks::<WIDTH>();
-    for chunk in chunks {
-        for lane in 0..WIDTH {
-            strange[lane] += 0.0 * chunk[lane];
-        }
-    }
-    let mut strange: f32 = strange.iter().sum();
-    strange += rest.iter().chain(sigma_rest).map(|value| 0.0 * value).sum::<f32>();
-    let (chunks, directions) = directions.as_chunks::<WIDTH>();
-    let mut strange_directions = [0.0_f32; WIDTH];
-    for chunk in chunks {
-        for (strange, d) in strange_directions.iter_mut().zip(chunk) {
-            *strange += 0.0 * d.x + 0.0 * d.y + 0.0 * d.z;
-        }
-    }
-    strange += strange_directions.iter().sum::<f32>();
-    strange += directions.iter().map(|d| 0.0 * d.x + 0.0 * d.y + 0.0 * d.z).sum::<f32>();
-    most.iter().chain(rest).fold(0.0, |most: f32, value| most.max(value.abs())) + strange
 }
 
-/// What [`lay`] needs to know of the expected error: of it, as radiance × `per_unit`, the squares of its parts relative to the sum of the
-/// channels and absolute.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Error {
-    pub per_unit: f32,
-    pub relative_squared: f32,
-    pub floor_squared: f32,
-}
-
-/// Lays eight views out; the root weight is 1 / expected error, to be scaled later.
+/// What a lobe of this radiance leaves of what was left.
 #[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
-pub(super) fn lay(
-    directions: &[Vec3],
-    radiance: &[[f32; 3]],
-    sigma: &[f32],
-    error: Error,
-    blocks: &mut Vec<Block>,
-) {
-    let (directions, last_directions) = directions.as_chunks::<WIDTH>();
-    let (radiance, last_radiance) = radiance.as_chunks::<WIDTH>();
-    let (sigma, last_sigma) = sigma.as_chunks::<WIDTH>();
-    for ((directions, radiance), sigma) in directions.iter().zip(radiance).zip(sigma) {
-        blocks.push(block(directions, radiance, sigma, error));
-    }
-    let left = last_directions.len();
-    if left > 0 {
-        let (mut directions, mut radiance, mut sigma) = ([Vec3::Z; WIDTH], [[0.0; 3]; WIDTH], [0.0; WIDTH]);
-        directions[..left].copy_from_slice(last_directions);
-        radiance[..left].copy_from_slice(last_radiance);
-        sigma[..left].copy_from_slice(last_sigma);
-        let mut block = block(&directions, &radiance, &sigma, error);
-        block.root_weight[left..].fill(0.0);
-        blocks.push(block);
-    }
-}
-
-#[inline(always)]
-fn block(
-    directions: &[Vec3; WIDTH],
-    radiance: &[[f32; 3]; WIDTH],
-    sigma: &[f32; WIDTH],
-    error: Error,
-) -> Block {
-    let mut block =
-        Block { direction: [[0.0; WIDTH]; 3], root_weight: [0.0; WIDTH], radiance: [[0.0; WIDTH]; 3] };
-    for lane in 0..WIDTH {
-        let direction = directions[lane].to_array();
-        for axis in 0..3 {
-            block.direction[axis][lane] = direction[axis];
-            block.radiance[axis][lane] = radiance[lane][axis] * error.per_unit;
-        }
-    }
-    for lane in 0..WIDTH {
-        let sum = block.radiance[0][lane] + block.radiance[1][lane] + block.radiance[2][lane];
-        // Its square still fits into single precision.
-        let sigma = (sigma[lane] * error.per_unit).min(1e15);
-        let variance = sigma.mul_add(sigma, (error.relative_squared * sum).mul_add(sum, error.floor_squared));
-        block.root_weight[lane] = 1.0 / variance.sqrt();
-    }
-    block
-}
-
-/// Multiplies each view's root weight and weighted radiance.
-#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
-pub(super) fn scale(views: &mut [Block], factors: &[Lane]) {
-    for (block, factor) in views.iter_mut().zip(factors) {
+pub(super) fn deduct(views: &[Block], lobe: &LaneLobe, radiance: [f32; 3], left: &mut [[Lane; 3]]) {
+    for (block, left) in views.iter().zip(left) {
+        let mut column = [0.0_f32; WIDTH];
         for lane in 0..WIDTH {
-            block.root_weight[lane] *= factor[lane];
+            column[lane] = value(block, lobe, lane);
         }
         for c in 0..3 {
             for lane in 0..WIDTH {
-                block.radiance[c][lane] *= factor[lane];
+                left[c][lane] = (-radiance[c]).mul_add(column[lane], left[c][lane]);
             }
         }
     }
 }
 
-/// Multiplies the root weights, and the radiance by the root weights that come of it; gives the sum of weight × radiance and of weight × radiance².
+/// Squares of what is left, summed over the channels of each view; and over all views the sums of that, of the same
+/// without its weight, and of the radiance squared without its weight, each for every channel.
 #[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
-pub(super) fn weigh(views: &mut [Block], factor: f32) -> [f64; 5] {
-    let (mut weight, mut energy) = ([0.0_f32; WIDTH], [0.0_f32; WIDTH]);
-    let mut right = [[0.0_f32; WIDTH]; 3];
-    for block in views {
-        for lane in 0..WIDTH {
-            block.root_weight[lane] *= factor;
-        }
-        let root = block.root_weight;
-        for lane in 0..WIDTH {
-            weight[lane] = root[lane].mul_add(root[lane], weight[lane]);
-        }
-        for (radiance, right) in block.radiance.iter_mut().zip(&mut right) {
-            for lane in 0..WIDTH {
-                radiance[lane] *= root[lane];
-            }
-            for lane in 0..WIDTH {
-                right[lane] = root[lane].mul_add(radiance[lane], right[lane]);
-            }
-            for lane in 0..WIDTH {
-                energy[lane] = radiance[lane].mul_add(radiance[lane], energy[lane]);
-            }
-        }
-    }
-    [total(weight), total(right[0]), total(right[1]), total(right[2]), total(energy)]
-}
-
-/// Squares of the last three rows, summed for each view; and over all views the sums of that, of the same without its weight, and of
-/// the radiance squared without its weight.
-#[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
-pub(super) fn misses<const R: usize>(views: &[Block], rows: &[[Lane; R]], out: &mut [Lane]) -> [f64; 3] {
-    let (mut weighted, mut squares, mut energy) = ([0.0_f32; WIDTH], [0.0_f32; WIDTH], [0.0_f32; WIDTH]);
-    for ((block, row), out) in views.iter().zip(rows).zip(out) {
-        let (mut miss, mut bright, mut per_weight) = ([0.0_f32; WIDTH], [0.0_f32; WIDTH], [0.0_f32; WIDTH]);
-        for c in 0..3 {
-            let (left, radiance) = (&row[R - 3 + c], &block.radiance[c]);
-            for lane in 0..WIDTH {
-                miss[lane] = left[lane].mul_add(left[lane], miss[lane]);
-            }
-            for lane in 0..WIDTH {
-                bright[lane] = radiance[lane].mul_add(radiance[lane], bright[lane]);
-            }
-        }
+pub(super) fn misses(views: &[Block], left: &[[Lane; 3]], out: &mut [Lane]) -> [[f64; 3]; 3] {
+    let mut sums = [[[0.0_f32; WIDTH]; 3]; 3];
+    for ((block, left), out) in views.iter().zip(left).zip(out) {
+        let (mut miss, mut per_weight) = ([0.0_f32; WIDTH], [0.0_f32; WIDTH]);
         for lane in 0..WIDTH {
             let root = block.root_weight[lane].max(1e-15);
             per_weight[lane] = 1.0 / (root * root);
         }
+        for c in 0..3 {
+            let (left, radiance) = (&left[c], &block.radiance[c]);
+            let mut square = [0.0_f32; WIDTH];
+            for lane in 0..WIDTH {
+                square[lane] = left[lane] * left[lane];
+            }
+            for lane in 0..WIDTH {
+                miss[lane] += square[lane];
+            }
+            for lane in 0..WIDTH {
+                sums[0][c][lane] += square[lane];
+            }
+            for lane in 0..WIDTH {
+                sums[1][c][lane] = per_weight[lane].mul_add(square[lane], sums[1][c][lane]);
+            }
+            for lane in 0..WIDTH {
+                sums[2][c][lane] =
+                    (per_weight[lane] * radiance[lane]).mul_add(radiance[lane], sums[2][c][lane]);
+            }
+        }
         *out = miss;
-        for lane in 0..WIDTH {
-            weighted[lane] += miss[lane];
-        }
-        for lane in 0..WIDTH {
-            squares[lane] = per_weight[lane].mul_add(miss[lane], squares[lane]);
-        }
-        for lane in 0..WIDTH {
-            energy[lane] = per_weight[lane].mul_add(bright[lane], energy[lane]);
-        }
     }
-    [total(weighted), total(squares), total(energy)]
+    sums.map(|sums| sums.map(total))
 }

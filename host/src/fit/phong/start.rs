@@ -5,7 +5,7 @@ use glam::{DVec3, Vec3};
 use super::super::small::{cholesky, substitute};
 use super::Lobe;
 use super::lanes;
-use super::refine::{TERMS, leave};
+use super::refine::{TERMS, lane_lobe, leave, turns};
 use super::views::Views;
 
 /// Neighbours on the ladder of shininess differ by a factor 2: squaring climbs it.
@@ -19,12 +19,19 @@ pub(super) fn starts<const R: usize, const S: usize>(
     linear: &[[f64; TERMS]; 3],
     shininess_max: f64,
 ) -> Vec<Lobe> {
-    leave::<R>(views, known, linear);
-    let blocks = views.blocks.len();
-    views.values.resize(blocks, [0.0; lanes::WIDTH]);
-    let directions = directions::<R>(views);
-    let Views { blocks, rows, values, .. } = views;
-    let rows = &rows.as_chunks::<R>().0[..blocks.len()];
+    leave(views, known, linear);
+    let directions = directions(views);
+    let Views { blocks, rows, left, values, .. } = views;
+    rows.resize((R * blocks.len()).max(rows.len()), [0.0; lanes::WIDTH]);
+    let rows = &mut rows.as_chunks_mut::<R>().0[..blocks.len()];
+    for (l, lobe) in known.iter().enumerate() {
+        lanes::values(blocks, &lane_lobe(lobe, &turns(lobe.direction)), rows, 1 + l);
+    }
+    for ((row, block), left) in rows.iter_mut().zip(blocks.iter()).zip(left.iter()) {
+        row[0] = block.root_weight;
+        row[R - 3..].copy_from_slice(left);
+    }
+    let rows = &*rows;
     let mut products = [[0.0; R]; R];
     lanes::products(rows, &mut products);
     let mut terms = [[0.0; R]; R];
@@ -82,11 +89,11 @@ fn summit(gains: &[f64; RUNGS], best: usize) -> f64 {
 }
 
 /// Directions that may carry the highlight: the brightest residual, its neighbourhood's centre, the centre of all
-/// that is bright, and the brightest far from the first.
-fn directions<const R: usize>(views: &mut Views) -> Vec<Vec3> {
-    let Views { blocks, rows, values, .. } = views;
-    let rows = &rows.as_chunks::<R>().0[..blocks.len()];
-    lanes::brightness(rows, values);
+/// that is bright, and the brightest far from the first: which may be glare.
+fn directions(views: &mut Views) -> Vec<Vec3> {
+    let Views { blocks, left, values, .. } = views;
+    values.resize(blocks.len(), [0.0; lanes::WIDTH]);
+    lanes::brightness(blocks, left, values);
     let centre = |around: [f32; 3], cosine: f32| {
         DVec3::from(lanes::centre(blocks, values, around, cosine)).try_normalize().map(|d| d.as_vec3())
     };

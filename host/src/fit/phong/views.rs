@@ -1,6 +1,12 @@
 //! The views of one texel, as the loops want them.
+#![expect(clippy::needless_range_loop, reason = "one index runs through several channels")]
 
+use glam::{DVec3, Vec3};
+
+use super::Lobe;
 use super::lanes::{self, Block, Lane, WIDTH};
+use super::layout;
+use super::refine::{lane_lobe, turns};
 use crate::observation::TexelObservations;
 
 /// Directions, root weights and weighted radiance in single precision, in blocks of [`WIDTH`]; what is missing in the
@@ -18,10 +24,16 @@ pub(super) struct Views {
     pub mean: [f64; 3],
     /// Sum of weight × radiance² over the channels, roughly.
     pub energy: f64,
+    /// What each channel was multiplied by, so that all leave equally much.
+    pub channels: [f64; 3],
+    /// Squares that no lobe can explain, beside those of the blocks.
+    pub beyond: f64,
     /// Of each view, the root of how much less it counts because it disagrees.
     factors: Vec<Lane>,
     /// Room for the columns, kept between texels.
     pub rows: Vec<Lane>,
+    /// What the lobes leave, weighted.
+    pub left: Vec<[Lane; 3]>,
     /// Room for one value of each view.
     pub values: Vec<Lane>,
     sorted: Vec<f32>,
@@ -35,36 +47,67 @@ impl Views {
         let count = texel.direction.len().min(texel.radiance.len()).min(texel.sigma.len());
         let (direction, radiance) = (&texel.direction[..count], &texel.radiance[..count]);
         let sigma = &texel.sigma[..count];
-        let brightest = lanes::brightest_value(direction, radiance, sigma);
+        let brightest = layout::brightest_value(radiance);
         if !brightest.is_finite() {
             return self.fill(&finite(texel), relative_error, floor);
         }
         // A power of two loses no digit.
         self.unit = f64::from(brightest).clamp(1e-30, 1e30).log2().floor().exp2();
-        let floor = (floor / self.unit).clamp(1e-15, 1e15) as f32;
-        let error = lanes::Error {
+        let floor_units = (floor / self.unit).clamp(1e-15, 1e15) as f32;
+        let error = layout::Error {
             per_unit: (1.0 / self.unit) as f32,
             relative_squared: (relative_error * relative_error / 9.0) as f32,
-            floor_squared: floor * floor,
+            floor_squared: floor_units * floor_units,
         };
         self.count = count;
         self.blocks.clear();
-        lanes::lay(direction, radiance, sigma, error, &mut self.blocks);
+        if layout::lay(direction, radiance, sigma, error, &mut self.blocks).is_nan() {
+            return self.fill(&finite(texel), relative_error, floor);
+        }
         let most = self.blocks.iter().flat_map(|block| block.root_weight).fold(0.0, f32::max);
         self.error = 1.0 / f64::from(most.max(f32::MIN_POSITIVE));
-        let [weight, red, green, blue, energy] = lanes::weigh(&mut self.blocks, self.error as f32);
+        let [weight, red, green, blue, energy] = layout::weigh(&mut self.blocks, self.error as f32);
         self.mean = [red, green, blue].map(|sum| sum / weight.max(1e-30));
         self.energy = energy;
         self.factors.clear();
+        (self.channels, self.beyond) = ([1.0; 3], 0.0);
     }
 
-    /// Lowers the weight of views that disagree with the rest (Huber 1964), after the residuals in the last three of
-    /// `R` rows; `false`, and nothing changed, where none does.
-    pub fn reweight<const R: usize>(&mut self) -> bool {
-        let Self { blocks, rows, values, factors, .. } = self;
+    /// Sums over the views by channel, in the samples' own scale: squares of what is left divided by the expected
+    /// error, the same as radiance, and squares of the radiance. The squares of each view stay in `values`.
+    pub fn misses(&mut self) -> [[f64; 3]; 3] {
+        let Self { blocks, left, values, .. } = self;
+        values.resize(blocks.len(), [0.0; WIDTH]);
+        let mut sums = lanes::misses(blocks, left, values);
+        let units = [1.0 / (self.error * self.error), self.unit * self.unit, self.unit * self.unit];
+        for (sums, unit) in sums.iter_mut().zip(units) {
+            for c in 0..3 {
+                sums[c] *= unit / (self.channels[c] * self.channels[c]);
+            }
+        }
+        sums
+    }
+
+    /// Scales the channels so that they leave equally much: their noise differs, and the views know it better than a
+    /// standard deviation common to them. `squares` are what each leaves; gives what each was multiplied by.
+    pub fn balance(&mut self, squares: [f64; 3]) -> [f64; 3] {
+        let mean = squares.iter().sum::<f64>() / 3.0;
+        let least = super::refine::ROUNDING * self.energy;
+        let factors = squares.map(|sum| ((mean + least) / (sum + least)).sqrt().clamp(0.25, 4.0));
+        layout::scale_channels(&mut self.blocks, factors.map(|factor| factor as f32));
+        for c in 0..3 {
+            self.channels[c] *= factors[c];
+        }
+        factors
+    }
+
+    /// Lowers the weight of views that disagree with the rest (Huber 1964), after what is left of them; `false`, and
+    /// nothing changed, where none does.
+    pub fn reweight(&mut self) -> bool {
+        let Self { blocks, left, values, factors, .. } = self;
         values.resize(blocks.len(), [0.0; WIDTH]);
         factors.resize(blocks.len(), [1.0; WIDTH]);
-        lanes::misses(blocks, &rows.as_chunks::<R>().0[..blocks.len()], values);
+        lanes::misses(blocks, left, values);
         // Back to what a view counted before, as standard deviations.
         let per_error = (1.0 / 3.0 / (self.error * self.error)) as f32;
         for (miss, factor) in values.as_flattened_mut().iter_mut().zip(factors.as_flattened()) {
@@ -85,15 +128,17 @@ impl Views {
             *value = new / *factor;
             *factor = new;
         }
-        lanes::scale(blocks, values);
+        layout::scale(blocks, values);
         true
     }
 
-    /// Sums of the squared residuals in the last three of `R` rows: weighted and not; and of the squared radiance.
-    pub fn misses<const R: usize>(&mut self) -> [f64; 3] {
-        let Self { blocks, rows, values, .. } = self;
+    /// A lobe's value in each view, times its root weight.
+    pub fn lobe_values(&mut self, lobe: &Lobe) -> &[Lane] {
+        let Self { blocks, values, .. } = self;
         values.resize(blocks.len(), [0.0; WIDTH]);
-        lanes::misses(blocks, &rows.as_chunks::<R>().0[..blocks.len()], values)
+        let values = &mut values[..blocks.len()];
+        lanes::values(blocks, &lane_lobe(lobe, &turns(lobe.direction)), values.as_chunks_mut::<1>().0, 0);
+        values
     }
 
     /// Counts all views as at first.
@@ -101,8 +146,79 @@ impl Views {
         for factor in self.factors.as_flattened_mut() {
             *factor = 1.0 / *factor;
         }
-        lanes::scale(&mut self.blocks, &self.factors);
+        layout::scale(&mut self.blocks, &self.factors);
         self.factors.clear();
+    }
+
+    /// Moves to `alone` the views around a direction, with what is left of them for their radiance; what the others say
+    /// of the constant becomes a single view from below, which no lobe meets.
+    pub fn isolate(&self, around: DVec3, cosine: f64, alone: &mut Self) {
+        let around = around.as_vec3().to_array();
+        alone.blocks.clear();
+        let (mut used, mut rest, mut squares) = (WIDTH, [0.0_f64; 4], 0.0_f64);
+        let mut push = |direction: [f32; 3], root: f32, radiance: [f32; 3]| {
+            if used == WIDTH {
+                alone.blocks.push(Block::EMPTY);
+                used = 0;
+            }
+            if let Some(block) = alone.blocks.last_mut() {
+                block.root_weight[used] = root;
+                for i in 0..3 {
+                    block.direction[i][used] = direction[i];
+                    block.radiance[i][used] = radiance[i];
+                }
+            }
+            used += 1;
+        };
+        for (block, left) in self.blocks.iter().zip(&self.left) {
+            for lane in 0..WIDTH {
+                let (direction, root) = (block.direction.map(|axis| axis[lane]), block.root_weight[lane]);
+                let radiance = left.map(|channel| channel[lane]);
+                let near: f32 = direction.iter().zip(around).map(|(a, b)| a * b).sum();
+                if f64::from(near) > cosine {
+                    push(direction, root, radiance);
+                } else {
+                    rest[3] += f64::from(root * root);
+                    for c in 0..3 {
+                        rest[c] += f64::from(root * radiance[c]);
+                        squares += f64::from(radiance[c] * radiance[c]);
+                    }
+                }
+            }
+        }
+        alone.beyond = 0.0;
+        if rest[3] > 0.0 {
+            let root = rest[3].sqrt();
+            let [red, green, blue, _] = rest.map(|sum| sum / root);
+            push([0.0, 0.0, -1.0], root as f32, [red as f32, green as f32, blue as f32]);
+            // What a constant cannot explain of the rest.
+            alone.beyond = (squares - red * red - green * green - blue * blue).max(0.0);
+        }
+        (alone.count, alone.unit, alone.error) = (self.count, self.unit, self.error);
+        (alone.energy, alone.channels) = (self.energy, self.channels);
+    }
+
+    /// The brightest view, and the nearest of those around it.
+    pub fn peak(&self) -> (DVec3, Vec<DVec3>) {
+        let (mut most, mut peak) = (f32::MIN, DVec3::Z);
+        let mut all = Vec::new();
+        for block in &self.blocks {
+            for lane in 0..WIDTH {
+                let root = block.root_weight[lane];
+                let direction = Vec3::from(block.direction.map(|axis| axis[lane])).as_dvec3();
+                if root > 0.0 && direction.z >= 0.0 {
+                    all.push(direction);
+                    let bright = block.radiance.iter().map(|channel| channel[lane]).sum::<f32>() / root;
+                    if bright > most {
+                        (most, peak) = (bright, direction);
+                    }
+                }
+            }
+        }
+        all.retain(|direction| *direction != peak);
+        all.sort_by(|a, b| b.dot(peak).total_cmp(&a.dot(peak)));
+        all.truncate(6);
+        (peak, all)
     }
 }
 
