@@ -200,6 +200,16 @@ impl Fitter {
         TexelFit { parameters, residual, relative_residual, views: samples.len() as u32, flags }
     }
 
+    /// The parameters that [`Fitter::fit`] finds, without its verdict: for a comparison of predictions.
+    pub(super) fn parameters(&self, texel: &TexelObservations) -> Vec<f32> {
+        match self.phong_options() {
+            Some(options) if !options.identified_only => {
+                phong::fit(texel, &PhongOptions { identified: None, ..options }).parameters
+            }
+            _ => self.fit(texel).parameters,
+        }
+    }
+
     /// Fits one texel, and predicts how far its radiance (RGB) toward some directions (unit vectors) may be off because
     /// the coefficients are uncertain: one standard deviation each. `None` for models that do not say.
     pub fn fit_toward(
@@ -233,7 +243,7 @@ impl Fitter {
             relative_error: self.options.relative_error,
             floor: self.floor,
             robust: self.options.robust,
-            identified: self.identified,
+            identified: Some(self.identified),
             identified_only: self.options.identified_only,
         })
     }

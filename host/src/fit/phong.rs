@@ -53,8 +53,8 @@ pub(super) struct PhongOptions {
     /// Views that disagree with the rest count less.
     pub robust: bool,
     /// A lobe counts as identified where it is right (direction within 1 degree, shininess within 20 %) with at least
-    /// this probability.
-    pub identified: f64,
+    /// this probability; `None`: nobody asks, and nobody judges.
+    pub identified: Option<f64>,
     /// Lobes that are not identified are left out, and the others fitted without them.
     pub identified_only: bool,
 }
@@ -153,8 +153,12 @@ fn polish(mut found: Found, views: &mut Views, alone: &mut Views, options: &Phon
             (found, covariance) = found.again(views, &search);
         }
     }
+    let Some(least) = options.identified else {
+        views.unweight();
+        return PhongFit { identified: false, ..found.report(views, options, Some(Box::new(covariance))) };
+    };
     found.right = (0..found.lobes.len()).map(|l| found.judge(l, &covariance, views, alone)).collect();
-    let sure = |right: f64| right >= options.identified;
+    let sure = |right: f64| right >= least;
     let identified = found.right.iter().all(|right| sure(*right));
     if options.identified_only && !identified {
         found.keep(sure);

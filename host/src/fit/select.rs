@@ -109,10 +109,10 @@ pub(super) fn predict(
     if kept.len() < model.unknowns() || held.is_empty() {
         return None;
     }
-    let fit = fitter.fit(kept);
+    let parameters = fitter.parameters(kept);
     let floor = (fitter.floor() as f32).max(f32::MIN_POSITIVE);
     let view = |(direction, measured): (&Vec3, &[f32; 3])| {
-        let predicted = model.radiance(&fit.parameters, *direction);
+        let predicted = model.radiance(&parameters, *direction);
         let miss = |c: usize| (predicted[c] - measured[c]).abs();
         let error = |c: usize| (miss(c) / (measured[c].max(0.0) + floor)).min(1.0);
         HeldOut {

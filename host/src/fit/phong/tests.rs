@@ -18,7 +18,7 @@ const OPTIONS: PhongOptions = PhongOptions {
     relative_error: 0.01,
     floor: 0.002,
     robust: false,
-    identified: 0.95,
+    identified: Some(0.95),
     identified_only: false,
 };
 
