@@ -1,5 +1,4 @@
 //! Coefficients whose radiance is negative nowhere on the hemisphere.
-#![expect(clippy::needless_range_loop, reason = "indices name lanes and channels")]
 
 use glam::DVec3;
 use multiversion::multiversion;
