@@ -1,4 +1,5 @@
 //! The two products that a fit repeats, for eight texels at once and with every texel's own directions and weights.
+#![expect(clippy::needless_range_loop, reason = "indices name lanes and channels")]
 
 use glam::DVec3;
 use multiversion::multiversion;

@@ -13,10 +13,10 @@ use super::lanes::{LANES, Lane};
 const COARSE: [usize; 2] = [3, 4];
 /// Directions at which a suspect is held: 3 degrees apart for order 10, whose finest wave has 18 from crest to trough.
 const FINE: [usize; 2] = [24, 24];
-/// What lies below this share of a texel's mean radiance between the coarse directions may be negative between them.
-const SUSPECT: f32 = 0.1;
+/// What lies below this share of a texel's greatest radiance in the coarse directions may be negative between them.
+const SUSPECT: f32 = 0.03;
 /// A suspect is held above this share of its mean radiance: between the fine directions it may dip by less.
-const LEAST: f32 = 2e-2;
+const LEAST: f32 = 3e-2;
 
 /// Finds and mends negative radiance.
 pub(super) struct Positive {
@@ -55,12 +55,13 @@ impl Positive {
         for c in 0..3 {
             for (lane, changed) in changed.iter_mut().enumerate() {
                 let least = seen.iter().map(|seen| seen[c].0[lane]).fold(f32::INFINITY, f32::min);
+                let most = seen.iter().map(|seen| seen[c].0[lane]).fold(0.0, f32::max);
                 let mean = mean[c].0[lane].max(0.0);
-                if least >= SUSPECT * mean && least >= 0.0 {
+                if least >= SUSPECT * most {
                     continue;
                 }
                 let mut own: Vec<f32> = coefficients.iter().map(|rgb| rgb[c].0[lane]).collect();
-                if self.mend_one(&mut own, mean, inverse) {
+                if self.mend_one(&mut own, mean, most, inverse) {
                     *changed = true;
                     for (rgb, value) in coefficients.iter_mut().zip(own) {
                         rgb[c].0[lane] = value;
@@ -71,9 +72,10 @@ impl Positive {
         changed
     }
 
-    fn mend_one(&self, coefficients: &mut [f32], mean: f32, inverse: &[f32]) -> bool {
+    fn mend_one(&self, coefficients: &mut [f32], mean: f32, most: f32, inverse: &[f32]) -> bool {
         let k = self.count;
-        let least = LEAST * mean;
+        // Between two directions a fit dips the more, the more it swings at all.
+        let least = (LEAST * (mean + 0.1 * most)).min(0.5 * mean);
         // Held directions: their basis, what the inverse makes of it, and the multiplier.
         let mut held: Vec<(&[f32], Vec<f32>, f32)> = Vec::new();
         let mut changed = false;
