@@ -119,7 +119,7 @@ pub fn select_surface(
 }
 
 /// A model that fewer of the sampled texels choose is not tried on the others.
-const LEAST_SHARE: f64 = 0.01;
+const LEAST_SHARE: f64 = 0.02;
 
 /// Keeps the models that a few hundred texels want.
 fn shorten(fitters: &mut Vec<Fitter>, sample: &[TexelObservations], tolerance: f32) {
