@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use nalgebra::{DMatrix, DVector};
 
-use super::recover::{Camera, Group, KNOTS, rows};
+use super::recover::{Camera, Group, KNOTS, Row, rows};
 use super::{NoiseModel, Response, Samples, Stack};
 use crate::{Error, Result};
 
@@ -174,7 +174,7 @@ impl Samples {
             .step_by(blocks.len().div_ceil(MOST_BLOCKS).max(1))
             .flat_map(|block| (0..3).map(move |channel| (channel, block)))
             .map(|(channel, block)| (channel, rows(block, &bracket.exposure_s, &cameras[channel])))
-            .filter(|(_, rows)| rows.len() >= 2)
+            .filter(|(_, rows)| rows.len() >= 2 && is_lit(&rows[0]))
             .collect();
         let groups: Vec<(usize, Group)> = gathered
             .iter()
@@ -257,6 +257,13 @@ impl Samples {
         }
         contradicting >= LEAST_CONTRADICTING && contradicting as f64 > PART_CONTRADICTING * beyond as f64
     }
+}
+
+/// What stays darker than this, of 255 levels, in the longest photograph that measures it is as likely dirt of the compression.
+const LIT: usize = 16;
+
+fn is_lit(row: &Row) -> bool {
+    row.histogram.iter().map(|&(knot, share)| knot as f64 * share).sum::<f64>() >= (LIT * KNOTS / 256) as f64
 }
 
 /// ln exposure at the knots.
