@@ -270,10 +270,12 @@ mod tests {
     fn what_a_texel_leaves_open_its_neighbours_decide() {
         let (needs, open) = (evidence([0.3, 0.1, 0.1], 1e-4), evidence([0.105, 0.1, 0.1], 0.02));
         let content = evidence([0.1, 0.1, 0.1], 1e-4);
-        let among =
-            |around: &Evidence| row(&[around.clone(), around.clone(), open.clone(), around.clone()])[2];
-        assert_eq!(among(&needs), (1, Reason::Neighbours));
-        assert_eq!(among(&content).0, 0);
+        let among = |around: &Evidence| {
+            let row = [around.clone(), open.clone(), around.clone()];
+            choose(&row, Texels { columns: 3, rows: 1 }, 1, 0.0)
+        };
+        assert_eq!(among(&needs), Some((1, Reason::Neighbours)));
+        assert_eq!(among(&content), Some((0, Reason::Neighbours)));
     }
 
     #[test]
