@@ -24,11 +24,14 @@ const DOUBT: Doubt = Doubt::USUAL;
 /// No view is taken from further down.
 const ZENITH_RAD: f32 = 1.309;
 
+/// Makes one texel.
+type Kind = fn(&mut StdRng) -> Truth;
+
 fn main() -> Result<()> {
     let mut arguments = std::env::args().skip(1).filter_map(|text| text.parse().ok());
     let (count, views) = (arguments.next().unwrap_or(256), arguments.next().unwrap_or(150));
     let models = candidates();
-    let kinds: [(&str, fn(&mut StdRng) -> Truth); 6] = [
+    let kinds: [(&str, Kind); 6] = [
         ("constant", |random| lobes(random, 0)),
         ("one lobe", |random| lobes(random, 1)),
         ("two lobes", |random| lobes(random, 2)),

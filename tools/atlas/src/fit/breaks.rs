@@ -20,13 +20,16 @@ const MODELS: [&str; 6] = ["constant", "phong", "phong2", "log-quadratic", "msh3
 const BROKEN: f64 = 0.05;
 const EACH: usize = 32;
 
+/// Texels, the views' directions, and what makes them differ from the truth.
+type Case = (Vec<Truth>, Vec<Vec3>, Doubt);
+
 /// What one sweep changes.
 struct Sweep {
     name: &'static str,
     label: &'static str,
     values: &'static [f32],
     logarithmic: bool,
-    make: fn(f32) -> (Vec<Truth>, Vec<Vec3>, Doubt),
+    make: fn(f32) -> Case,
 }
 
 const SWEEPS: [Sweep; 8] = [

@@ -63,7 +63,7 @@ fn colour(random: &mut StdRng, low: f32, high: f32) -> Vec3 {
 
 fn direction(random: &mut StdRng, least_z: f32) -> Vec3 {
     let (z, azimuth) = (random.random_range(least_z..1.0), random.random_range(0.0..std::f32::consts::TAU));
-    let across = (1.0 - z * z as f32).sqrt();
+    let across = (1.0 - z * z).sqrt();
     Vec3::new(across * azimuth.cos(), across * azimuth.sin(), z)
 }
 
