@@ -13,6 +13,7 @@ pub mod others;
 mod prior;
 mod recover;
 mod response;
+mod rows;
 mod samples;
 #[cfg(test)]
 mod simulated;

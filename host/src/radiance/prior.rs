@@ -7,7 +7,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::recover::{KNOTS, knot_levels};
+use super::rows::{KNOTS, knot_levels};
 
 /// Where ln(level + SOFTENING) turns from linear to logarithmic, in 256ths of white.
 const SOFTENING: f64 = 6.0;

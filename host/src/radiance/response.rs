@@ -5,7 +5,7 @@ use std::path::Path;
 use half::f16;
 use nalgebra::DMatrix;
 
-use super::recover::{KNOTS, knot_of};
+use super::rows::{KNOTS, knot_of};
 use crate::picture::Picture;
 use crate::{Error, Result, file};
 

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use nalgebra::{DMatrix, DVector};
 
-use super::recover::{Camera, Group, KNOTS, Row, rows};
+use super::rows::{Camera, Group, KNOTS, Row, rows};
 use super::{NoiseModel, Response, Samples, Stack};
 use crate::{Error, Result};
 
