@@ -6,10 +6,13 @@ mod map;
 mod place;
 mod sample;
 
+use std::borrow::Cow;
+
 use glam::Vec3;
 
 pub use build::{Options, observe};
 pub use map::{Header, ObservationMap, ObservedView};
+pub use sample::Sample;
 
 /// What the views measured of one texel: only the views that measured it, in the order of the views.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -37,8 +40,28 @@ impl TexelObservations {
 
     /// The same without some views.
     pub fn without(&self, views: &[u32]) -> Self {
-        let mut rest = Self::default();
-        for i in (0..self.len()).filter(|&i| !views.contains(&self.view[i])) {
+        self.only(|i| !views.contains(&self.view[i]))
+    }
+
+    /// The observations in which everything is finite: the others say nothing.
+    pub fn usable(&self) -> Cow<'_, Self> {
+        let is_usable = |i: usize| {
+            let [direction, radiance] = [self.direction[i].to_array(), self.radiance[i]];
+            self.sigma[i].is_finite() && direction.into_iter().chain(radiance).all(f32::is_finite)
+        };
+        if (0..self.len()).all(is_usable) { Cow::Borrowed(self) } else { Cow::Owned(self.only(is_usable)) }
+    }
+
+    /// The observations whose index is wanted.
+    pub(crate) fn only(&self, is_wanted: impl Fn(usize) -> bool) -> Self {
+        let most = self.len();
+        let mut rest = Self {
+            view: Vec::with_capacity(most),
+            direction: Vec::with_capacity(most),
+            radiance: Vec::with_capacity(most),
+            sigma: Vec::with_capacity(most),
+        };
+        for i in (0..self.len()).filter(|&i| is_wanted(i)) {
             rest.view.push(self.view[i]);
             rest.direction.push(self.direction[i]);
             rest.radiance.push(self.radiance[i]);

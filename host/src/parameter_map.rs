@@ -2,6 +2,7 @@
 
 mod exchange;
 mod fitted;
+mod memory;
 mod selected;
 
 pub use fitted::fit_surface;

@@ -14,7 +14,7 @@ use rand::rngs::StdRng;
 use rayon::prelude::*;
 use rigel::Result;
 use rigel::fit::{
-    BANDS, Evidence, FitOptions, Fitter, Reason, candidates, choose_models, zenith_band, zenith_factors,
+    BANDS, Choice, Evidence, FitOptions, Fitter, Selector, ZenithRatios, candidates, zenith_band,
 };
 use rigel::geometry::Texels;
 use rigel::observation::TexelObservations;
@@ -59,30 +59,31 @@ fn main() -> Result<()> {
             truths.iter().enumerate().map(texel).collect()
         };
         let (first, second) = (one(1), one(2));
-        let mut fitters: Vec<Fitter> =
-            models.iter().filter_map(|&m| Fitter::new(m, &options, &first).ok()).collect();
-        fitters.sort_by_key(|fitter| fitter.model().bytes_per_texel());
-        let chosen = [&first, &second].map(|observed| {
-            let evidence: Vec<_> = observed.par_iter().map(|texel| Evidence::of(&fitters, texel)).collect();
-            let sizes: Vec<usize> = fitters.iter().map(|fitter| fitter.model().bytes_per_texel()).collect();
-            choose_models(&evidence, texels, &sizes, 0.0)
-        });
+        let selector = Selector::new(&models, &options, 0.0, &first, &|| Ok(()))?;
+        let all_of = |observed: &[TexelObservations]| {
+            let evidence = selector.evidence(&observed.iter().collect::<Vec<_>>());
+            let chosen = selector.choose(&evidence, texels);
+            (evidence, chosen)
+        };
+        let [(evidence, chosen), (_, again)] = [&first, &second].map(|observed| all_of(observed));
+        let fitters: Vec<Fitter> =
+            selector.models().iter().filter_map(|&m| Fitter::new(m, &options, &first).ok()).collect();
         let right = (0..truths.len()).into_par_iter().filter(|&i| {
             let errors: Vec<f32> =
                 fitters.iter().map(|fitter| fresh_error(&truths[i], fitter, &first[i])).collect();
             let best = errors.iter().copied().fold(f32::INFINITY, f32::min);
-            errors[chosen[0][i].0] <= 1.02 * best
+            errors[chosen[i].model] <= 1.02 * best
         });
         let right = right.count();
-        let same = (0..truths.len()).filter(|&i| chosen[0][i].0 == chosen[1][i].0).count();
+        let same = (0..truths.len()).filter(|&i| chosen[i].model == again[i].model).count();
         let mut shares = BTreeMap::new();
-        chosen[0]
-            .iter()
-            .for_each(|(choice, _)| *shares.entry(fitters[*choice].model().name()).or_insert(0) += 1);
+        for choice in &chosen {
+            *shares.entry(fitters[choice.model].model().name()).or_insert(0) += 1;
+        }
         let percent = |n: usize| 100.0 * n as f64 / truths.len() as f64;
         println!("{name:<12} {:>10.1} {:>10.1}  {shares:?}", percent(right), percent(same));
         all.push((percent(right), percent(same)));
-        coverage(name, &fitters, &truths, &first, &chosen[0]);
+        coverage(name, &selector, &truths, &first, (&evidence, &chosen));
     }
     let n = all.len() as f64;
     let [right, same] = [all.iter().map(|a| a.0).sum::<f64>() / n, all.iter().map(|a| a.1).sum::<f64>() / n];
@@ -93,23 +94,30 @@ fn main() -> Result<()> {
 /// How many measurements in fresh directions lie within one predicted standard deviation, by zenith.
 fn coverage(
     name: &str,
-    fitters: &[Fitter],
+    selector: &Selector,
     truths: &[Truth],
     observed: &[TexelObservations],
-    chosen: &[(usize, Reason)],
+    (evidence, chosen): (&[Evidence], &[Choice]),
 ) {
-    let factors = zenith_factors(fitters, observed, 0.0);
+    let sigma: Vec<f32> =
+        evidence.iter().zip(chosen).map(|(evidence, choice)| selector.sigma(evidence, choice)).collect();
+    let mut ratios = ZenithRatios::default();
+    for ((texel, sigma), choice) in observed.iter().zip(&sigma).zip(chosen) {
+        ratios.extend(selector.zenith_ratios(texel, *sigma, choice));
+    }
+    let models = selector.models();
+    let factors = ratios.factors(models.len());
+    let fits = selector.fit(&observed.iter().collect::<Vec<_>>(), chosen);
     let mut bands = [(0, 0); BANDS];
-    for (i, ((truth, texel), &(choice, _))) in truths.iter().zip(observed).zip(chosen).enumerate() {
-        let (fitter, sigma) = (&fitters[choice], Evidence::of(fitters, texel).sigma[choice]);
-        let fit = fitter.fit(texel);
+    for (i, (truth, fit)) in truths.iter().zip(&fits).enumerate() {
         let mut random = StdRng::seed_from_u64(3_000_000 + i as u64);
         for direction in directions(300, ZENITH_RAD, 1.3) {
             let band = zenith_band(direction.z);
             let (measured, _) = noisy(truth, direction, &DOUBT, &mut random);
-            let predicted = fitter.model().radiance(&fit.parameters, direction);
+            let predicted = models[chosen[i].model].radiance(&fit.parameters, direction);
             for (predicted, measured) in predicted.into_iter().zip(measured) {
-                let within = sigma * factors[choice][band] * (predicted + fitter.floor() as f32);
+                let within =
+                    sigma[i] * factors[chosen[i].model][band] * (predicted + selector.floor() as f32);
                 bands[band].0 += u32::from((predicted - measured).abs() <= within);
                 bands[band].1 += 1;
             }

@@ -7,6 +7,7 @@ use super::harmonics::{self, HarmonicsMethod, Smooth, SmoothFit, Weighing};
 use super::log_quadratic;
 use super::model::{Model, SHININESS};
 use super::phong::{self, PhongFit, PhongOptions};
+use super::surface::{sharpest, typical_radiance};
 use super::weights::Samples;
 use crate::observation::TexelObservations;
 use crate::{Error, Result};
@@ -16,7 +17,7 @@ use crate::{Error, Result};
 pub struct FitOptions {
     /// What no model says exactly, as a fraction of the radiance.
     pub relative_error: f64,
-    /// What no model says exactly, as a radiance; `None`: 5 % of the surface's median radiance.
+    /// What no model says exactly, as a radiance; `None`: 5 % of the surface's median radiance (mean of the channels).
     pub floor: Option<f64>,
     /// Observations that disagree with the rest count less (Huber weights): passers-by, flares, wrong pixels.
     pub robust: bool,
@@ -68,8 +69,6 @@ pub struct TexelFit {
     /// Root mean square of (model − measured) / expected error over views and channels: about 1 or less is as
     /// good as the measurement.
     pub residual: f32,
-    /// Root mean square of model − measured, divided by that of measured.
-    pub relative_residual: f32,
     /// How many views took part.
     pub views: u32,
     /// What is doubtful.
@@ -106,20 +105,20 @@ impl Fitter {
                 "photograph more views or fit a smaller model (constant needs 1, phong 5, log-quadratic 6)",
             ));
         }
-        let median = median_radiance(sample);
+        let typical = typical_radiance(sample);
         // Where a black texel has no error at all its weight would be infinite.
-        let floor =
-            options.floor.unwrap_or(0.05 * median).max(1e-6 * median).max(f64::from(f32::MIN_POSITIVE));
+        let floor = options.floor.unwrap_or(0.05 * typical).max(1e-6 * typical);
         let mut fitter = Self {
             model,
             options: *options,
             floor,
-            shininess_max: sharpest(sample),
+            shininess_max: *SHININESS.end(),
             identified: 0.95,
             gram: None,
             smooth: None,
         };
         if let Model::Phong { .. } = model {
+            fitter.shininess_max = sharpest(sample);
             fitter.identified = fitter.sure_enough(sample);
         }
         if let Model::Harmonics { order, method } = model {
@@ -172,13 +171,13 @@ impl Fitter {
         if !fit.converged {
             flags.set(FitFlags::NOT_CONVERGED);
         }
-        let SmoothFit { parameters, residual, relative_residual, views, .. } = fit;
-        TexelFit { parameters, residual, relative_residual, views, flags }
+        let SmoothFit { parameters, residual, views, .. } = fit;
+        TexelFit { parameters, residual, views, flags }
     }
 
     fn fit_one(&self, texel: &TexelObservations) -> TexelFit {
         if let Some(options) = self.phong_options() {
-            return self.lobes(phong::fit(texel, &options));
+            return self.lobes(phong::fit(texel, &options), texel);
         }
         let mut samples = Samples::of(texel, self.options.relative_error, self.floor);
         let weights = samples.weights.clone();
@@ -192,22 +191,36 @@ impl Fitter {
             }
         }
         if !parameters.iter().all(|value| value.is_finite()) {
-            parameters = self.model.constant(samples.mean().map(|l| l.max(0.0) as f32));
+            parameters = self.constant(&samples);
             flags.set(FitFlags::NOT_CONVERGED);
         }
         samples.weights = weights;
-        let (residual, relative_residual) = self.residuals(&samples, &parameters);
-        TexelFit { parameters, residual, relative_residual, views: samples.len() as u32, flags }
+        let residual = self.residual(&samples, &parameters);
+        TexelFit { parameters, residual, views: samples.len() as u32, flags }
     }
 
-    /// The parameters that [`Fitter::fit`] finds, without its verdict: for a comparison of predictions.
-    pub(super) fn parameters(&self, texel: &TexelObservations) -> Vec<f32> {
-        match self.phong_options() {
-            Some(options) if !options.identified_only => {
-                phong::fit(texel, &PhongOptions { identified: None, ..options }).parameters
+    /// For each of `fitters`, which are made for one surface, the parameters that [`Fitter::fit`] finds for each texel, without its
+    /// verdict: for a comparison of predictions. Numbers of lobes ascend.
+    pub(super) fn parameters(fitters: &[Self], texels: &[&TexelObservations]) -> Vec<Vec<Vec<f32>>> {
+        let lobes = |fitter: &Self| match fitter.model {
+            Model::Phong { lobes } if !fitter.options.identified_only => Some(usize::from(lobes)),
+            _ => None,
+        };
+        let numbers: Vec<usize> = fitters.iter().filter_map(lobes).collect();
+        let options = fitters.iter().find(|fitter| lobes(fitter).is_some()).and_then(Self::phong_options);
+        let mut nested: Vec<_> = numbers.iter().map(|_| Vec::with_capacity(texels.len())).collect();
+        if let Some(options) = options {
+            for texel in texels {
+                let fits = phong::nested(texel, &numbers, &options);
+                nested.iter_mut().zip(fits).for_each(|(to, parameters)| to.push(parameters));
             }
-            _ => self.fit(texel).parameters,
         }
+        let mut nested = nested.into_iter();
+        let of = |fitter: &Self| match lobes(fitter) {
+            Some(_) => nested.next().unwrap_or_default(),
+            None => fitter.fit_tile(texels).into_iter().map(|fit| fit.parameters).collect(),
+        };
+        fitters.iter().map(of).collect()
     }
 
     /// Fits one texel, and predicts how far its radiance (RGB) toward some directions (unit vectors) may be off because
@@ -220,7 +233,7 @@ impl Fitter {
         let Some(options) = self.phong_options() else { return (self.fit(texel), None) };
         let fit = phong::fit(texel, &options);
         let sigma = toward.iter().map(|direction| fit.sigma(*direction)).collect();
-        (self.lobes(fit), Some(sigma))
+        (self.lobes(fit, texel), Some(sigma))
     }
 
     /// Fits one texel from parameters that are roughly right: a neighbour's, or those of an earlier fit. Of the models, only
@@ -228,7 +241,7 @@ impl Fitter {
     pub fn fit_from(&self, texel: &TexelObservations, parameters: &[f32]) -> TexelFit {
         match self.phong_options() {
             Some(options) if parameters.len() == self.model.parameter_count() => {
-                self.lobes(phong::refit(texel, parameters, &options))
+                self.lobes(phong::refit(texel, parameters, &options), texel)
             }
             _ => self.fit(texel),
         }
@@ -270,7 +283,12 @@ impl Fitter {
         least.clamp(0.75, 0.97)
     }
 
-    fn lobes(&self, fit: PhongFit) -> TexelFit {
+    fn lobes(&self, mut fit: PhongFit, texel: &TexelObservations) -> TexelFit {
+        if !fit.parameters.iter().all(|value| value.is_finite()) {
+            let samples = Samples::of(texel, self.options.relative_error, self.floor);
+            fit.parameters = self.constant(&samples);
+            (fit.residual, fit.converged) = (self.residual(&samples, &fit.parameters).into(), false);
+        }
         let mut flags = FitFlags::default();
         for (is, flag) in [
             (fit.views == 0, FitFlags::NO_VIEWS),
@@ -283,13 +301,14 @@ impl Fitter {
                 flags.set(flag);
             }
         }
-        TexelFit {
-            parameters: fit.parameters,
-            residual: fit.residual as f32,
-            relative_residual: fit.relative_residual as f32,
-            views: fit.views as u32,
-            flags,
-        }
+        TexelFit { parameters: fit.parameters, residual: fit.residual as f32, views: fit.views as u32, flags }
+    }
+
+    /// The mean of what was measured, as parameters.
+    fn constant(&self, samples: &Samples) -> Vec<f32> {
+        // Without any sample the mean is no number.
+        let is_finite = |value: f32| if value.is_finite() { value } else { 0.0 };
+        self.model.constant(samples.mean().map(|l| is_finite(l.max(0.0) as f32)))
     }
 
     fn solve(&self, samples: &Samples) -> (Vec<f32>, FitFlags) {
@@ -299,7 +318,7 @@ impl Fitter {
             flags.set(FitFlags::TOO_FEW_VIEWS);
             return (self.model.constant([0.0; 3]), flags);
         }
-        let constant = || self.model.constant(samples.mean().map(|l| l.max(0.0) as f32));
+        let constant = || self.constant(samples);
         if samples.len() < self.model.unknowns() {
             flags.set(FitFlags::TOO_FEW_VIEWS);
             return (constant(), flags);
@@ -355,16 +374,10 @@ impl Fitter {
         true
     }
 
-    fn residuals(&self, samples: &Samples, parameters: &[f32]) -> (f32, f32) {
-        let (mut weighted, mut squares, mut energy) = (0.0, 0.0, 0.0);
-        for i in 0..samples.len() {
-            let miss = squared_miss(self.model, parameters, samples, i);
-            weighted += samples.weights[i] * miss;
-            squares += miss;
-            energy += samples.radiance[i].iter().map(|l| l * l).sum::<f64>();
-        }
+    fn residual(&self, samples: &Samples, parameters: &[f32]) -> f32 {
+        let miss = |i: usize| samples.weights[i] * squared_miss(self.model, parameters, samples, i);
         let count = (3 * samples.len()).max(1) as f64;
-        ((weighted / count).sqrt() as f32, (squares / energy.max(f64::MIN_POSITIVE)).sqrt() as f32)
+        ((0..samples.len()).map(miss).sum::<f64>() / count).sqrt() as f32
     }
 }
 
@@ -372,36 +385,4 @@ fn squared_miss(model: Model, parameters: &[f32], samples: &Samples, i: usize) -
     let direction: DVec3 = samples.directions[i];
     let predicted = model.radiance(parameters, direction.as_vec3());
     predicted.iter().zip(samples.radiance[i]).map(|(p, l)| (f64::from(*p) - l).powi(2)).sum()
-}
-
-/// The greatest shininess that the views can tell from a single bright pixel: the lobe's half width at half maximum
-/// is a third of the spacing between neighbouring views.
-fn sharpest(sample: &[TexelObservations]) -> f64 {
-    let stride = sample.len().div_ceil(8).max(1);
-    let mut spacings = Vec::new();
-    for texel in sample.iter().step_by(stride) {
-        for (i, a) in texel.direction.iter().enumerate() {
-            let others = texel.direction.iter().enumerate().filter(|(j, _)| *j != i);
-            spacings.extend(others.map(|(_, b)| a.angle_between(*b)).min_by(f32::total_cmp));
-        }
-    }
-    spacings.retain(|spacing| spacing.is_finite());
-    if spacings.is_empty() {
-        return *SHININESS.end();
-    }
-    let middle = spacings.len() / 2;
-    let half_width = f64::from(*spacings.select_nth_unstable_by(middle, f32::total_cmp).1) / 3.0;
-    let shininess = std::f64::consts::LN_2 / -half_width.cos().ln().min(-f64::MIN_POSITIVE);
-    shininess.clamp(*SHININESS.start(), *SHININESS.end())
-}
-
-fn median_radiance(sample: &[TexelObservations]) -> f64 {
-    let mut all: Vec<f32> =
-        sample.iter().flat_map(|texel| texel.radiance.iter().flatten().copied()).collect();
-    all.retain(|value| value.is_finite());
-    if all.is_empty() {
-        return 0.0;
-    }
-    let middle = all.len() / 2;
-    f64::from(*all.select_nth_unstable_by(middle, f32::total_cmp).1).max(0.0)
 }

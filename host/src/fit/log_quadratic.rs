@@ -23,14 +23,17 @@ const RIDGE: f64 = 1e-4;
 /// observation. Flattening the quadratic instead doubles the error beside the views.
 const BRIGHTEST: f64 = 4.0;
 
+/// The logarithm has no black.
+const BLACK: f64 = 1e-30;
+
 /// The 6 × 3 coefficients (term by term, R G B each) and the logarithm of the greatest radiance; `None` without a
-/// sample of positive radiance.
+/// sample of positive radiance. A channel that is black on average is black.
 pub(super) fn fit(samples: &Samples) -> Option<[[f64; 3]; 7]> {
     let total: f64 = samples.weights.iter().sum();
     let mean = samples.mean();
     // Far below the mean a logarithm is noise.
-    let least = mean.map(|l| 1e-3 * l);
-    if !(least.iter().all(|l| *l > 0.0) && total > 0.0) {
+    let least = mean.map(|l| (1e-3 * l).max(BLACK));
+    if !(mean.iter().any(|l| *l > 0.0) && total > 0.0) {
         return None;
     }
     let centre = samples.directions.iter().sum::<DVec3>() / samples.len() as f64;
@@ -45,7 +48,7 @@ pub(super) fn fit(samples: &Samples) -> Option<[[f64; 3]; 7]> {
         sum += weight;
         gram.ger(weight, &row, &row, 1.0);
         for c in 0..3 {
-            let log = radiance[c].max(least[c]).ln();
+            let log = if mean[c] > 0.0 { radiance[c].max(least[c]).ln() } else { BLACK.ln() };
             for i in 0..6 {
                 right[(i, c)] += weight * row[i] * log;
             }
@@ -58,9 +61,9 @@ pub(super) fn fit(samples: &Samples) -> Option<[[f64; 3]; 7]> {
         gram[(i, i)] += RIDGE * sum;
     }
     let found = about_the_axis(&gram.cholesky()?.solve(&right), centre);
-    let most = std::array::from_fn(|c| {
-        (BRIGHTEST * samples.radiance.iter().fold(least[c], |most, radiance| most.max(radiance[c]))).ln()
-    });
+    let brightest = |c: usize| samples.radiance.iter().fold(least[c], |most, radiance| most.max(radiance[c]));
+    let most =
+        std::array::from_fn(|c| if mean[c] > 0.0 { (BRIGHTEST * brightest(c)).ln() } else { BLACK.ln() });
     let [a, b, c, d, e, f] = found;
     Some([a, b, c, d, e, f, most])
 }

@@ -134,7 +134,10 @@ impl Model {
 
     /// Linear RGB radiance toward `direction` (unit vector, surface frame) of one texel's `parameters`; never negative.
     pub fn radiance(&self, parameters: &[f32], direction: Vec3) -> [f32; 3] {
-        self.toward(direction).radiance(parameters)
+        match self {
+            Self::Constant | Self::Phong { .. } => bounded(lobes(parameters, direction)),
+            _ => self.toward(direction).radiance(parameters),
+        }
     }
 
     /// Prepares the evaluation of many texels toward one direction: harmonics compute their basis once.
@@ -189,26 +192,14 @@ impl Toward {
     /// Linear RGB radiance of one texel's `parameters` (as many as [`Model::parameter_count`]); never negative.
     pub fn radiance(&self, parameters: &[f32]) -> [f32; 3] {
         let radiance = match self.model {
-            Model::Constant => [parameters[0], parameters[1], parameters[2]],
-            Model::Phong { .. } => {
-                let mut sum = [parameters[0], parameters[1], parameters[2]];
-                for lobe in parameters[3..].chunks_exact(7) {
-                    let cosine = Vec3::new(lobe[4], lobe[5], lobe[6]).dot(self.direction).clamp(0.0, 1.0);
-                    let power = cosine.powf(lobe[3]);
-                    for (value, specular) in sum.iter_mut().zip(lobe) {
-                        *value += specular * power;
-                    }
-                }
-                sum
-            }
+            Model::Constant | Model::Phong { .. } => lobes(parameters, self.direction),
             Model::LogQuadratic => {
                 let log = self.sum(parameters, 6);
                 std::array::from_fn(|c| log[c].min(parameters[18 + c]).exp())
             }
             Model::Harmonics { order, method } => self.sum(parameters, method.count(order)),
         };
-        // Finite also where a hostile file says otherwise.
-        radiance.map(|value| value.clamp(0.0, f32::MAX))
+        bounded(radiance)
     }
 
     fn sum(&self, parameters: &[f32], terms: usize) -> [f32; 3] {
@@ -220,6 +211,24 @@ impl Toward {
         }
         sum
     }
+}
+
+/// Finite also where a hostile file says otherwise.
+fn bounded(radiance: [f32; 3]) -> [f32; 3] {
+    radiance.map(|value| value.clamp(0.0, f32::MAX))
+}
+
+/// A diffuse part and any number of lobes.
+fn lobes(parameters: &[f32], direction: Vec3) -> [f32; 3] {
+    let mut sum = [parameters[0], parameters[1], parameters[2]];
+    for lobe in parameters[3..].chunks_exact(7) {
+        let cosine = Vec3::new(lobe[4], lobe[5], lobe[6]).dot(direction).clamp(0.0, 1.0);
+        let power = cosine.powf(lobe[3]);
+        for (value, specular) in sum.iter_mut().zip(lobe) {
+            *value += specular * power;
+        }
+    }
+    sum
 }
 
 #[cfg(test)]

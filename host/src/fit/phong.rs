@@ -73,13 +73,12 @@ pub(super) struct PhongFit {
     pub right: Vec<f64>,
     /// Whether all lobes that earned their numbers are identified.
     pub identified: bool,
-    /// `None` where there were too few views.
+    /// `None` where there were too few views, or nobody asked for a verdict.
     pub covariance: Option<Box<Covariance>>,
     /// How many views are usable.
     pub views: usize,
-    /// Root mean square of residual / expected error, and of residual relative to that of the radiance.
+    /// Root mean square of residual / expected error.
     pub residual: f64,
-    pub relative_residual: f64,
 }
 
 impl PhongFit {
@@ -98,22 +97,55 @@ thread_local! {
 /// Fits lobes to a texel; one that does not earn its six numbers is left without radiance. Where there are fewer views than
 /// unknowns, a constant.
 pub(super) fn fit(texel: &TexelObservations, options: &PhongOptions) -> PhongFit {
+    let mut last = None;
+    grow(texel, options, &mut |fit| last = Some(fit), &[options.lobes]);
+    last.expect("there is one fit for each number of lobes")
+}
+
+/// The parameters of fits with up to `lobes` lobes each (ascending), without a verdict; [`PhongOptions::lobes`] is not looked at. What
+/// the smaller ones found is the larger ones' beginning.
+pub(super) fn nested(texel: &TexelObservations, lobes: &[usize], options: &PhongOptions) -> Vec<Vec<f32>> {
+    let mut all = Vec::with_capacity(lobes.len());
+    grow(texel, &PhongOptions { identified: None, ..*options }, &mut |fit| all.push(fit.parameters), lobes);
+    all
+}
+
+/// Adds lobe after lobe, and hands `found` a fit for each of the ascending `numbers` of lobes.
+fn grow(
+    texel: &TexelObservations,
+    options: &PhongOptions,
+    found: &mut dyn FnMut(PhongFit),
+    numbers: &[usize],
+) {
     VIEWS.with_borrow_mut(|[views, alone]| {
         views.fill(texel, options.relative_error, options.floor);
-        let mut found = Found::constant(views);
-        if views.count <= 4 * options.lobes {
-            return found.report(views, options, None);
-        }
-        let coarse = Search { small: 3.0, ..search(options) };
-        for _ in 0..options.lobes.min(MOST_LOBES) {
-            let more = found.grow(views, &coarse);
-            if !found.earns(&more, views) {
-                break;
+        let coarse = Search { small: 3.0, covariance: false, ..search(options) };
+        let mut grown = Found::constant(views);
+        let (mut enough, mut lone) = (false, false);
+        for (i, &number) in numbers.iter().enumerate() {
+            let options = PhongOptions { lobes: number, ..*options };
+            if views.count <= 4 * number {
+                found(grown.clone().report(views, &options, None));
+                continue;
             }
-            found = more;
+            while !enough && grown.lobes.len() < number.min(MOST_LOBES) {
+                grown.leave(views);
+                let most = if options.robust { views.largest_left() } else { 0.0 };
+                let more = grown.grow(views, &coarse);
+                enough = !grown.earns(&more, views, most);
+                lone |= enough && grown.earns(&more, views, 0.0);
+                if !enough {
+                    grown = more;
+                }
+            }
+            let fit = polish(grown.clone(), views, alone, &options);
+            found(PhongFit { identified: fit.identified && !lone, ..fit });
+            if i + 1 < numbers.len() {
+                // The weights are those that the fit has given them.
+                views.fill(texel, options.relative_error, options.floor);
+            }
         }
-        polish(found, views, alone, options)
-    })
+    });
 }
 
 /// Refines the lobes of `parameters`, in the order of `Model::channel_names`; they do not come, and go only where they are not
@@ -124,14 +156,19 @@ pub(super) fn refit(texel: &TexelObservations, parameters: &[f32], options: &Pho
         if views.count <= 4 * options.lobes {
             return Found::constant(views).report(views, options, None);
         }
-        let coarse = Search { small: 3.0, ..search(options) };
+        let coarse = Search { small: 3.0, covariance: false, ..search(options) };
         let (found, _) = Found::of(parameters, views.unit).again(views, &coarse);
         polish(found, views, alone, options)
     })
 }
 
 fn search(options: &PhongOptions) -> Search {
-    Search { shininess_max: options.shininess_max, shared: options.shared_shininess, small: 0.1 }
+    Search {
+        shininess_max: options.shininess_max,
+        shared: options.shared_shininess,
+        small: 0.1,
+        covariance: options.identified.is_some(),
+    }
 }
 
 /// From lobes that are roughly right to a fit and its verdict.
@@ -153,11 +190,11 @@ fn polish(mut found: Found, views: &mut Views, alone: &mut Views, options: &Phon
             (found, covariance) = found.again(views, &search);
         }
     }
-    let Some(least) = options.identified else {
+    let (Some(least), Some(known)) = (options.identified, &covariance) else {
         views.unweight();
-        return PhongFit { identified: false, ..found.report(views, options, Some(Box::new(covariance))) };
+        return PhongFit { identified: false, ..found.report(views, options, None) };
     };
-    found.right = (0..found.lobes.len()).map(|l| found.judge(l, &covariance, views, alone)).collect();
+    found.right = (0..found.lobes.len()).map(|l| found.judge(l, known, views, alone)).collect();
     let sure = |right: f64| right >= least;
     let identified = found.right.iter().all(|right| sure(*right));
     if options.identified_only && !identified {
@@ -167,5 +204,5 @@ fn polish(mut found: Found, views: &mut Views, alone: &mut Views, options: &Phon
         found.right = right;
     }
     views.unweight();
-    PhongFit { identified, ..found.report(views, options, Some(Box::new(covariance))) }
+    PhongFit { identified, ..found.report(views, options, covariance) }
 }

@@ -77,18 +77,36 @@ pub fn observe(
     }
     drop(coarse);
     let header = Header::new(surface, options.texels, unit, observed);
-    file::write_beside(path, |temporary| {
-        let mut out = File::create(temporary).map_err(Error::io("write", path))?;
-        let start = header.start(&mut out).map_err(Error::io("write", path))?;
-        for (index, &view) in views.iter().enumerate() {
-            progress.step(views.len() + index, total)?;
-            let samples = sample_view(session, registration.as_ref(), view, options.texels)?;
-            write_view(&mut out, start, &header, index, &samples).map_err(Error::io("write", path))?;
-        }
-        out.sync_all().map_err(Error::io("write", path))
+    let map = ObservationMap::create(path, &header, &mut |index| {
+        progress.step(views.len() + index, total)?;
+        sample_view(session, registration.as_ref(), views[index], options.texels)
     })?;
     progress.step(total, total)?;
-    ObservationMap::open(path)
+    Ok(map)
+}
+
+impl ObservationMap {
+    /// Writes a map view by view: `samples` of a view are one for each texel, row by row from the top-left one; `None` where
+    /// the view did not measure the texel.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the file cannot be written, and what `samples` says; what stood there is then untouched.
+    pub fn create(
+        path: &Path,
+        header: &Header,
+        samples: &mut dyn FnMut(usize) -> Result<Vec<Option<Sample>>>,
+    ) -> Result<Self> {
+        file::write_beside(path, |temporary| {
+            let mut out = File::create(temporary).map_err(Error::io("write", path))?;
+            let start = header.start(&mut out).map_err(Error::io("write", path))?;
+            for view in 0..header.views.len() {
+                let samples = samples(view)?;
+                write_view(&mut out, start, header, view, &samples).map_err(Error::io("write", path))?;
+            }
+            out.sync_all().map_err(Error::io("write", path))
+        })?;
+        Self::open(path)
+    }
 }
 
 fn sample_view(

@@ -60,8 +60,9 @@ pub struct ObservedView {
 }
 
 impl Header {
-    /// A header in this version's format. Tiles are as large as keeps one in a few megabytes.
-    pub(super) fn new(surface: Surface, texels: Texels, unit: f64, views: Vec<ObservedView>) -> Self {
+    /// A header in this version's format; `unit` is the radiance that counts as 1 in the file, whose half floats have three
+    /// digits between 0.0001 and 65000. Tiles are as large as keeps one in a few megabytes.
+    pub fn new(surface: Surface, texels: Texels, unit: f64, views: Vec<ObservedView>) -> Self {
         // Padding is lost disk: a tile divides the map as evenly as it can.
         let side = |count: u32| {
             let padding = |side: &u32| (count.next_multiple_of(*side) - count, side.abs_diff(TILE_SIDE));

@@ -11,8 +11,10 @@ const MOST_POSITIONS: u32 = 8;
 
 /// Radiance and its standard deviation (root mean square over the channels).
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Sample {
+pub struct Sample {
+    /// Linear RGB.
     pub radiance: [f32; 3],
+    /// Same unit.
     pub sigma: f32,
 }
 

@@ -1,11 +1,11 @@
-//! A model is fitted to a whole observation map, tile by tile, in bounded memory.
+//! A model is fitted to a whole observation map, tile by tile: beside the parameters only the tiles in work are in memory.
 
-use std::borrow::Cow;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
+use super::memory::require;
 use super::{Diagnostics, ParameterMap};
 use crate::fit::{FitFlags, FitOptions, Fitter, Model};
 use crate::observation::{ObservationMap, TexelObservations};
@@ -15,8 +15,8 @@ use crate::{Error, Result};
 /// Fits `model` to every texel of `map`, leaving out the views `without` (indices in the map's header).
 ///
 /// # Errors
-/// [`Error::Input`] when the model has more unknowns than there are views or no view is left; [`Error::Io`] when the map
-/// cannot be read; [`Error::Interrupted`].
+/// [`Error::Input`] when the model has more unknowns than there are views or no view is left; [`Error::Request`] when the
+/// machine has too little memory; [`Error::Io`] when the map cannot be read; [`Error::Interrupted`].
 pub fn fit_surface(
     map: &ObservationMap,
     model: Model,
@@ -28,17 +28,22 @@ pub fn fit_surface(
     let fitter =
         Fitter::new(model, options, &map.sample(without)?).map_err(|error| error.about(map.path()))?;
     let (texels, count) = (header.texels, model.parameter_count());
+    // The parameters, and once more while they are written.
+    require(texels, 2 * count * 4 + 32)?;
     let target = Mutex::new((vec![0f32; texels.count() * count], empty(texels.count())));
     let (tiles, done) = (header.tiles().count(), AtomicUsize::new(0));
     progress.step(0, tiles)?;
     (0..tiles).into_par_iter().try_for_each(|tile| {
-        let observed = map.tile(tile)?;
-        let rest: Vec<_> = observed.iter().map(|(_, texel)| leave_out(texel, without)).collect();
-        let fits = fitter.fit_tile(&rest.iter().map(|texel| &**texel).collect::<Vec<_>>());
+        let (places, observed): (Vec<_>, Vec<_>) =
+            map.tile(tile)?.into_iter().map(|(texel, of)| (texel, leave_out(of, without))).unzip();
+        let observed: Vec<_> = observed.iter().collect();
+        // Where there are few tiles each is work for all cores.
+        let some = if tiles < 4 * rayon::current_num_threads() { SOME } else { observed.len() };
+        let fits: Vec<_> =
+            observed.par_chunks(some.max(1)).flat_map_iter(|texels| fitter.fit_tile(texels)).collect();
         let mut target = target.lock().map_err(|_| Error::Interrupted)?;
         let (parameters, diagnostics) = &mut *target;
-        for (((column, row), _), fit) in observed.iter().zip(fits) {
-            let (column, row) = (*column, *row);
+        for ((column, row), fit) in places.into_iter().zip(fits) {
             let index = row as usize * texels.columns as usize + column as usize;
             parameters[index * count..(index + 1) * count].copy_from_slice(&fit.parameters);
             diagnostics.residual[index] = fit.residual;
@@ -60,8 +65,11 @@ pub fn fit_surface(
     })
 }
 
-pub(super) fn leave_out<'a>(texel: &'a TexelObservations, without: &[u32]) -> Cow<'a, TexelObservations> {
-    if without.is_empty() { Cow::Borrowed(texel) } else { Cow::Owned(texel.without(without)) }
+/// So many texels of a tile are worth the work that smooth models share between them.
+const SOME: usize = 256;
+
+pub(super) fn leave_out(texel: TexelObservations, without: &[u32]) -> TexelObservations {
+    if without.is_empty() { texel } else { texel.without(without) }
 }
 
 pub(super) fn empty(count: usize) -> Diagnostics {

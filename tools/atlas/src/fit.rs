@@ -10,10 +10,9 @@ use std::time::Duration;
 use glam::Vec3;
 use rand::SeedableRng;
 use rand::rngs::StdRng;
-use rayon::prelude::*;
 use rigel::Result;
 use rigel::chart::{self, Axis, ChartPoint};
-use rigel::fit::{Evidence, FitOptions, Fitter, Model, candidates, choose_models};
+use rigel::fit::{Choice, FitOptions, Fitter, Model, Reason, Selector, candidates};
 use rigel::geometry::Texels;
 use rigel::observation::TexelObservations;
 use rigel::progress::Progress;
@@ -51,28 +50,25 @@ struct Done {
 fn fit(name: &str, truths: &[Truth], observed: &[TexelObservations]) -> Result<Option<Done>> {
     let options = FitOptions::default();
     let models = if name == AUTO { candidates() } else { vec![Model::parse(name)?] };
-    let mut fitters: Vec<Fitter> =
-        models.into_iter().filter_map(|model| Fitter::new(model, &options, observed).ok()).collect();
-    if fitters.is_empty() {
+    if Fitter::new(models[0], &options, observed).is_err() {
         return Ok(None);
     }
-    fitters.sort_by_key(|fitter| fitter.model().bytes_per_texel());
-    let sizes: Vec<usize> = fitters.iter().map(|fitter| fitter.model().bytes_per_texel()).collect();
+    let all: Vec<&TexelObservations> = observed.iter().collect();
+    let selector = Selector::new(&models, &options, 0.0, observed, &|| Ok(()))?;
+    let (models, floor) = (selector.models(), selector.floor() as f32);
+    let sizes: Vec<usize> = models.iter().map(Model::bytes_per_texel).collect();
+    let only = Choice { model: 0, runner_up: 0, reason: Reason::Only };
     let (cpu_s, fitted) = cpu_seconds(if name == AUTO { Duration::ZERO } else { ENOUGH }, || {
-        let choice: Vec<usize> = if name == AUTO {
-            let evidence: Vec<_> = observed.par_iter().map(|texel| Evidence::of(&fitters, texel)).collect();
-            let texels = Texels { columns: observed.len() as u32, rows: 1 };
-            choose_models(&evidence, texels, &sizes, 0.0).into_iter().map(|(choice, _)| choice).collect()
-        } else {
-            vec![0; observed.len()]
+        let chosen = match name {
+            AUTO => selector.choose(&selector.evidence(&all), Texels { columns: all.len() as u32, rows: 1 }),
+            _ => vec![only; all.len()],
         };
-        let fits = observed.iter().zip(&choice).map(|(texel, &choice)| fitters[choice].fit(texel).parameters);
-        fits.zip(choice.iter().copied()).collect::<Vec<_>>()
+        let fits = selector.fit(&all, &chosen).into_iter().zip(chosen);
+        fits.map(|(fit, choice)| (fit.parameters, choice.model)).collect::<Vec<_>>()
     });
-    let floor = fitters[0].floor() as f32;
     let toward = directions(FRESH, ZENITH_RAD, 1.3);
     let error = |(truth, (parameters, choice)): (&Truth, &(Vec<f32>, usize))| {
-        let model = fitters[*choice].model();
+        let model = models[*choice];
         let miss = |direction: &Vec3| {
             let (exact, predicted) = (truth.radiance(*direction), model.radiance(parameters, *direction));
             (0..3).map(|c| f64::from((predicted[c] - exact[c]).abs() / (exact[c] + floor))).sum::<f64>() / 3.0

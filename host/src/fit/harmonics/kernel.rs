@@ -327,25 +327,18 @@ pub(super) fn energy(weights: &[Lane], values: &[Rgb]) -> Rgb {
     sums
 }
 
-/// Sums of the squares of what is `missing`, where there is an expected weight: with those weights, with the fit's
-/// weights for each channel, and with none; and of the radiance itself.
+/// Sums of the squares of what is `missing`: with the expected weights, and with the fit's weights for each channel.
 #[multiversion(targets("x86_64+avx2+fma"))]
-pub(super) fn tally(expected: &[Lane], packed: &Packed, missing: &[Rgb]) -> (Lane, Rgb, Lane, Lane) {
-    let (mut weighted, mut misfit, mut squares, mut energy) =
-        (Lane::ZERO, [Lane::ZERO; 3], Lane::ZERO, Lane::ZERO);
-    for (((expected, weight), seen), missing) in
-        expected.iter().zip(&packed.weight).zip(&packed.radiance).zip(missing)
-    {
-        let measured = Lane::of(|i| if expected.0[i] > 0.0 { 1.0 } else { 0.0 });
+pub(super) fn tally(expected: &[Lane], packed: &Packed, missing: &[Rgb]) -> (Lane, Rgb) {
+    let (mut weighted, mut misfit) = (Lane::ZERO, [Lane::ZERO; 3]);
+    for ((expected, weight), missing) in expected.iter().zip(&packed.weight).zip(missing) {
         for c in 0..3 {
             let square = missing[c].times(missing[c]);
             weighted = square.times_plus(*expected, weighted);
             misfit[c] = square.times_plus(*weight, misfit[c]);
-            squares = square.times_plus(measured, squares);
-            energy = seen[c].times_plus(seen[c], energy);
         }
     }
-    (weighted, misfit, squares, energy)
+    (weighted, misfit)
 }
 
 #[inline(always)]

@@ -64,8 +64,6 @@ pub struct SmoothFit {
     pub parameters: Vec<f32>,
     /// Root mean square of (model - measured) / expected error, robust weights left out.
     pub residual: f32,
-    /// Root mean square of model - measured, divided by that of measured.
-    pub relative_residual: f32,
     /// How many views took part.
     pub views: u32,
     /// Whether the search reached its accuracy.
@@ -110,7 +108,6 @@ pub struct Smooth {
     pub(super) prior: DMatrix<f64>,
     prior_single: Vec<f32>,
     positive: Positive,
-    shared_within: f32,
 }
 
 /// The tile's mean system.
@@ -158,7 +155,6 @@ impl Smooth {
             prior_single: single(&prior),
             prior,
             positive: Positive::new(basis, order),
-            shared_within: SHARED_WITHIN,
         }
     }
 
@@ -255,7 +251,7 @@ impl Smooth {
             }
         }
         weigh_observations(packed, &self.weighing);
-        settle(packed, self.basis, &self.rule, self.basis.count(self.order), self.shared_within);
+        settle(packed, self.basis, &self.rule, self.basis.count(self.order), SHARED_WITHIN);
     }
 
     fn fit_group(&self, group: &[&TexelObservations], shared: &Shared, work: &mut Work) -> Vec<SmoothFit> {
@@ -297,7 +293,7 @@ impl Smooth {
                 *missing = std::array::from_fn(|c| seen[c].minus(predicted[c]));
             }
         }
-        let (weighted, misfit, squares, energy) = tally(&expected, &work.packed, &work.missing);
+        let (weighted, misfit) = tally(&expected, &work.packed, &work.missing);
         let parameters = |lane: usize| work.found.iter().flat_map(move |rgb| rgb.map(|c| c.0[lane]));
         let constant = |lane: usize| {
             let value = |c: usize| mean[c].0[lane].max(0.0) * self.basis.one() as f32;
@@ -312,7 +308,6 @@ impl Smooth {
             SmoothFit {
                 parameters: if finite { parameters(lane).collect() } else { constant(lane).collect() },
                 residual: (weighted.0[lane] / (3.0 * n).max(1.0)).sqrt(),
-                relative_residual: (squares.0[lane] / energy.0[lane].max(f32::MIN_POSITIVE)).sqrt(),
                 views: n as u32,
                 converged: converged[lane] && finite,
                 held: held[lane],

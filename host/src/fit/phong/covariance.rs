@@ -78,7 +78,7 @@ impl Covariance {
                 })
                 .collect();
             let noise = product(&set.linear, &value) * self.error[c] * self.error[c];
-            (noise + product(&self.searched, &slope)).max(0.0).sqrt()
+            root(noise + product(&self.searched, &slope))
         })
     }
 
@@ -88,8 +88,13 @@ impl Covariance {
         let at = |i: usize, j: usize| self.searched[(3 * l + i) * 3 * self.lobes.len() + 3 * l + j];
         let (a, b, c) = (at(1, 1), at(2, 1), at(2, 2));
         let (middle, half) = (0.5 * (a + c), (0.25 * (a - c) * (a - c) + b * b).sqrt());
-        ([(middle + half).max(0.0).sqrt(), (middle - half).max(0.0).sqrt()], at(0, 0).max(0.0).sqrt())
+        ([root(middle + half), root(middle - half)], root(at(0, 0)))
     }
+}
+
+/// Of a variance; what is no number says that nothing is known.
+fn root(variance: f64) -> f64 {
+    if variance.is_nan() { f64::INFINITY } else { variance.max(0.0).sqrt() }
 }
 
 fn product(matrix: &[f64], vector: &[f64]) -> f64 {
@@ -117,6 +122,11 @@ fn inverse<const N: usize>(matrix: &[[f64; N]; N], n: usize) -> [[f64; N]; N] {
             matrix[i][i] += ridge;
         }
         ridge *= 10.0;
+    }
+    // Nothing is known: the matrix holds what is no number.
+    for i in 0..n {
+        inverse[i] = [0.0; N];
+        inverse[i][i] = f64::INFINITY;
     }
     inverse
 }

@@ -23,7 +23,7 @@ pub(super) struct Alone<'a> {
 
 /// Beyond any fit's bound: what is sharper must show.
 const SHARPEST: f64 = 4000.0;
-const SEARCH: Search = Search { shininess_max: SHARPEST, shared: false, small: 0.1 };
+const SEARCH: Search = Search { shininess_max: SHARPEST, shared: false, small: 0.1, covariance: false };
 
 struct Node {
     lobe: Lobe,

@@ -102,17 +102,20 @@ impl Found {
         found.min_by(|a, b| a.squares.total_cmp(&b.squares)).unwrap_or_else(|| self.clone())
     }
 
-    /// Whether the lobe that `more` has more lowers the residual by more than its six numbers would by chance (Schwarz's
-    /// criterion, 1978): needless lobes make foils no better and cloth worse.
-    pub fn earns(&self, more: &Self, views: &Views) -> bool {
+    /// Whether the lobe that `more` has more lowers the residual, of which `lone` does not count, by more than its six numbers
+    /// would by chance (Schwarz's criterion, 1978): needless lobes make foils no better and cloth worse.
+    ///
+    /// With what a single view leaves for `lone`, no lobe rests on one view alone: it may be a passer-by.
+    pub fn earns(&self, more: &Self, views: &Views, lone: f64) -> bool {
         let count = 3.0 * views.count as f64;
         // Radiance comes in single precision: what is left below that is rounding.
         let floor = 10.0 * ROUNDING * views.energy;
-        self.squares > floor && count * (self.squares / more.squares.max(floor)).ln() > 6.0 * count.ln()
+        let squares = self.squares - lone;
+        squares > floor && count * (squares / more.squares.max(floor)).ln() > 6.0 * count.ln()
     }
 
-    /// Refines with other weights, and says how sure the result is; lobes neither come nor go.
-    pub fn again(&self, views: &mut Views, search: &Search) -> (Self, Covariance) {
+    /// Refines with other weights, and says how sure the result is if the search asks; lobes neither come nor go.
+    pub fn again(&self, views: &mut Views, search: &Search) -> (Self, Option<Box<Covariance>>) {
         match *self.lobes.as_slice() {
             [] => Self::concluded((Place::<0, 0, 4>::new(views, [], &self.linear), true), views, search),
             [a] => Self::concluded(refine::<1, 3, 8>(views, [a], &self.linear, search), views, search),
@@ -130,10 +133,11 @@ impl Found {
         (place, converged): (Place<L, N, R>, bool),
         views: &Views,
         search: &Search,
-    ) -> (Self, Covariance) {
+    ) -> (Self, Option<Box<Covariance>>) {
         let found = Self::from((place, converged));
         let scale = views.channels.map(|factor| views.unit / factor);
-        let covariance = Covariance::new(&place, search, found.variance(views), scale);
+        let covariance =
+            search.covariance.then(|| Covariance::new(&place, search, found.variance(views), scale).into());
         (found, covariance)
     }
 
@@ -237,9 +241,11 @@ impl Found {
         covariance: Option<Box<Covariance>>,
     ) -> PhongFit {
         let mut at_bound = false;
+        let brightest = f64::from(f32::MAX);
         let term = |t: usize| {
+            // Unlike `min`, this leaves alone what is not a number.
             [0, 1, 2]
-                .map(|c| (self.linear[c][t] * views.unit / views.channels[c]).min(f64::from(f32::MAX)) as f32)
+                .map(|c| (self.linear[c][t] * views.unit / views.channels[c]).clamp(0.0, brightest) as f32)
         };
         let mut parameters = Vec::with_capacity(3 + 7 * options.lobes);
         parameters.extend(term(0));
@@ -254,7 +260,6 @@ impl Found {
             parameters.extend([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0]);
         }
         self.leave(views);
-        let [weighted, squares, energy] = views.misses().map(|sums| sums.iter().sum::<f64>());
         PhongFit {
             parameters,
             at_bound,
@@ -263,8 +268,7 @@ impl Found {
             identified: true,
             covariance,
             views: views.count,
-            residual: (weighted / (3.0 * views.count.max(1) as f64)).sqrt(),
-            relative_residual: (squares / energy.max(f64::MIN_POSITIVE)).sqrt(),
+            residual: (views.misses() / (3.0 * views.count.max(1) as f64)).sqrt(),
         }
     }
 }

@@ -327,38 +327,26 @@ pub(super) fn deduct(views: &[Block], lobe: &LaneLobe, radiance: [f32; 3], left:
     }
 }
 
-/// Squares of what is left, summed over the channels of each view; and over all views the sums of that, of the same
-/// without its weight, and of the radiance squared without its weight, each for every channel.
+/// Squares of what is left, summed over the channels of each view; the sum of them over the views for each channel, and the
+/// greatest of a view.
 #[multiversion(targets("x86_64+avx2+fma", "aarch64+neon"))]
-pub(super) fn misses(views: &[Block], left: &[[Lane; 3]], out: &mut [Lane]) -> [[f64; 3]; 3] {
-    let mut sums = [[[0.0_f32; WIDTH]; 3]; 3];
-    for ((block, left), out) in views.iter().zip(left).zip(out) {
-        let (mut miss, mut per_weight) = ([0.0_f32; WIDTH], [0.0_f32; WIDTH]);
-        for lane in 0..WIDTH {
-            let root = block.root_weight[lane].max(1e-15);
-            per_weight[lane] = 1.0 / (root * root);
-        }
+pub(super) fn misses(left: &[[Lane; 3]], out: &mut [Lane]) -> ([f64; 3], f32) {
+    let (mut sums, mut most) = ([[0.0_f32; WIDTH]; 3], [0.0_f32; WIDTH]);
+    for (left, out) in left.iter().zip(out) {
+        let mut miss = [0.0_f32; WIDTH];
         for c in 0..3 {
-            let (left, radiance) = (&left[c], &block.radiance[c]);
-            let mut square = [0.0_f32; WIDTH];
+            let left = &left[c];
             for lane in 0..WIDTH {
-                square[lane] = left[lane] * left[lane];
+                miss[lane] = left[lane].mul_add(left[lane], miss[lane]);
             }
             for lane in 0..WIDTH {
-                miss[lane] += square[lane];
+                sums[c][lane] = left[lane].mul_add(left[lane], sums[c][lane]);
             }
-            for lane in 0..WIDTH {
-                sums[0][c][lane] += square[lane];
-            }
-            for lane in 0..WIDTH {
-                sums[1][c][lane] = per_weight[lane].mul_add(square[lane], sums[1][c][lane]);
-            }
-            for lane in 0..WIDTH {
-                sums[2][c][lane] =
-                    (per_weight[lane] * radiance[lane]).mul_add(radiance[lane], sums[2][c][lane]);
-            }
+        }
+        for lane in 0..WIDTH {
+            most[lane] = most[lane].max(miss[lane]);
         }
         *out = miss;
     }
-    sums.map(|sums| sums.map(total))
+    (sums.map(total), most.into_iter().fold(0.0, f32::max))
 }

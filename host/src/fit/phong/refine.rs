@@ -267,6 +267,8 @@ pub(super) struct Search {
     /// observation; that step is still taken. 0.1: the parameters were within a third of their own uncertainty
     /// before it.
     pub small: f64,
+    /// Says how sure the result is.
+    pub covariance: bool,
 }
 
 /// Refines lobes together until nothing more is to be gained; whether that was reached. The last step is taken on trust:

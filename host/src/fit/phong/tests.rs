@@ -313,7 +313,7 @@ fn parameters_stay_within_bounds() {
             let fit = fit(&texel, &options);
             assert_eq!(fit.parameters.len(), 3 + 7 * lobes);
             assert!(fit.parameters.iter().all(|value| value.is_finite()), "{round}: {:?}", fit.parameters);
-            assert!(fit.residual.is_finite() && fit.relative_residual.is_finite(), "{round}");
+            assert!(fit.residual.is_finite(), "{round}");
             assert!(fit.parameters[..3].iter().all(|value| *value >= 0.0));
             for lobe in fit.parameters[3..].chunks_exact(7) {
                 assert!(lobe[..3].iter().all(|value| *value >= 0.0) && lobe[6] >= 0.0, "{round}: {lobe:?}");

@@ -49,7 +49,7 @@ impl Views {
         let sigma = &texel.sigma[..count];
         let brightest = layout::brightest_value(radiance);
         if !brightest.is_finite() {
-            return self.fill(&finite(texel), relative_error, floor);
+            return self.fill(&texel.usable(), relative_error, floor);
         }
         // A power of two loses no digit.
         self.unit = f64::from(brightest).clamp(1e-30, 1e30).log2().floor().exp2();
@@ -62,7 +62,7 @@ impl Views {
         self.count = count;
         self.blocks.clear();
         if layout::lay(direction, radiance, sigma, error, &mut self.blocks).is_nan() {
-            return self.fill(&finite(texel), relative_error, floor);
+            return self.fill(&texel.usable(), relative_error, floor);
         }
         let most = self.blocks.iter().flat_map(|block| block.root_weight).fold(0.0, f32::max);
         self.error = 1.0 / f64::from(most.max(f32::MIN_POSITIVE));
@@ -73,26 +73,21 @@ impl Views {
         (self.channels, self.beyond) = ([1.0; 3], 0.0);
     }
 
-    /// Sums over the views by channel, in the samples' own scale: squares of what is left divided by the expected
-    /// error, the same as radiance, and squares of the radiance. The squares of each view stay in `values`.
-    pub fn misses(&mut self) -> [[f64; 3]; 3] {
+    /// Sum over views and channels of the squares of what is left divided by the expected error, in the samples' own scale.
+    pub fn misses(&mut self) -> f64 {
         let Self { blocks, left, values, .. } = self;
         values.resize(blocks.len(), [0.0; WIDTH]);
-        let mut sums = lanes::misses(blocks, left, values);
-        let units = [1.0 / (self.error * self.error), self.unit * self.unit, self.unit * self.unit];
-        for (sums, unit) in sums.iter_mut().zip(units) {
-            for c in 0..3 {
-                sums[c] *= unit / (self.channels[c] * self.channels[c]);
-            }
-        }
-        sums
+        let (sums, _) = lanes::misses(&left[..blocks.len()], values);
+        let scaled = sums.iter().zip(self.channels).map(|(sum, scale)| sum / (scale * scale));
+        scaled.sum::<f64>() / (self.error * self.error)
     }
 
     /// Scales the channels so that they leave equally much: their noise differs, and the views know it better than a
     /// standard deviation common to them. `squares` are what each leaves; gives what each was multiplied by.
     pub fn balance(&mut self, squares: [f64; 3]) -> [f64; 3] {
         let mean = squares.iter().sum::<f64>() / 3.0;
-        let least = super::refine::ROUNDING * self.energy;
+        // Black views leave nothing.
+        let least = (super::refine::ROUNDING * self.energy).max(f64::MIN_POSITIVE);
         let factors = squares.map(|sum| ((mean + least) / (sum + least)).sqrt().clamp(0.25, 4.0));
         layout::scale_channels(&mut self.blocks, factors.map(|factor| factor as f32));
         for c in 0..3 {
@@ -101,13 +96,20 @@ impl Views {
         factors
     }
 
+    /// The most that a single view leaves, squared and summed over its channels.
+    pub fn largest_left(&mut self) -> f64 {
+        let Self { blocks, left, values, .. } = self;
+        values.resize(blocks.len(), [0.0; WIDTH]);
+        lanes::misses(&left[..blocks.len()], values).1.into()
+    }
+
     /// Lowers the weight of views that disagree with the rest (Huber 1964), after what is left of them; `false`, and
     /// nothing changed, where none does.
     pub fn reweight(&mut self) -> bool {
         let Self { blocks, left, values, factors, .. } = self;
         values.resize(blocks.len(), [0.0; WIDTH]);
         factors.resize(blocks.len(), [1.0; WIDTH]);
-        lanes::misses(blocks, left, values);
+        lanes::misses(&left[..blocks.len()], values);
         // Back to what a view counted before, as standard deviations.
         let per_error = (1.0 / 3.0 / (self.error * self.error)) as f32;
         for (miss, factor) in values.as_flattened_mut().iter_mut().zip(factors.as_flattened()) {
@@ -220,19 +222,4 @@ impl Views {
         all.truncate(6);
         (peak, all)
     }
-}
-
-fn finite(texel: &TexelObservations) -> TexelObservations {
-    let mut kept = TexelObservations::default();
-    for i in 0..texel.direction.len().min(texel.radiance.len()).min(texel.sigma.len()) {
-        if texel.direction[i].is_finite()
-            && texel.sigma[i].is_finite()
-            && texel.radiance[i].iter().all(|value| value.is_finite())
-        {
-            kept.direction.push(texel.direction[i]);
-            kept.radiance.push(texel.radiance[i]);
-            kept.sigma.push(texel.sigma[i]);
-        }
-    }
-    kept
 }

@@ -1,9 +1,13 @@
-//! Texels whose radiance is known, and what noisy views measure of them.
+//! Texels whose radiance is known, what noisy views measure of them, and maps of them.
+
+use std::path::Path;
 
 use glam::Vec3;
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
-use rigel::observation::TexelObservations;
+use rigel::Result;
+use rigel::geometry::{Surface, Texels};
+use rigel::observation::{Header, ObservationMap, ObservedView, Sample, TexelObservations};
 
 /// What makes a measurement differ from the truth.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -127,10 +131,7 @@ pub fn noisy(truth: &Truth, direction: Vec3, doubt: &Doubt, random: &mut StdRng)
 pub fn observe(truth: &Truth, directions: &[Vec3], doubt: &Doubt, seed: u64) -> TexelObservations {
     let mut random = StdRng::seed_from_u64(seed);
     let mut observed = TexelObservations::default();
-    // Every fifth view is left out at a time: neighbours on a spiral shall not go together.
-    let mut order: Vec<(usize, &Vec3)> = directions.iter().enumerate().collect();
-    order.sort_by_key(|(i, _)| (i * 7919) % 10_007);
-    for (view, (_, &direction)) in order.into_iter().enumerate() {
+    for (view, &direction) in directions.iter().enumerate() {
         let (radiance, sigma) = noisy(truth, direction, doubt, &mut random);
         let (a, b) = direction.any_orthonormal_pair();
         let turn = (a * normal(&mut random) + b * normal(&mut random)) * doubt.direction_rad;
@@ -142,4 +143,32 @@ pub fn observe(truth: &Truth, directions: &[Vec3], doubt: &Doubt, seed: u64) -> 
         }
     }
     observed
+}
+
+/// Writes what was measured of each texel, row by row, as the observation map of a surface so small that all its texels are seen
+/// from the same directions: those of the views, `toward`.
+///
+/// # Errors
+/// [`rigel::Error::Io`] when the file cannot be written.
+pub fn write_map(
+    path: &Path,
+    texels: Texels,
+    toward: &[Vec3],
+    observed: &[TexelObservations],
+) -> Result<ObservationMap> {
+    let surface =
+        Surface { width_m: 1e-3, height_m: 1e-3 * f64::from(texels.rows) / f64::from(texels.columns) };
+    let view = |(i, direction): (usize, &Vec3)| ObservedView {
+        name: format!("view{i:04}"),
+        centre_m: direction.as_dvec3(),
+        gain: 1.0,
+    };
+    let header = Header::new(surface, texels, 1.0, toward.iter().enumerate().map(view).collect());
+    ObservationMap::create(path, &header, &mut |view| {
+        let of = |texel: &TexelObservations| {
+            let i = texel.view.iter().position(|of| *of as usize == view)?;
+            Some(Sample { radiance: texel.radiance[i], sigma: texel.sigma[i] })
+        };
+        Ok(observed.iter().map(of).collect())
+    })
 }
