@@ -38,6 +38,22 @@ impl TexelObservations {
         self.view.is_empty()
     }
 
+    /// Forgets everything and keeps the memory.
+    fn clear(&mut self) {
+        self.view.clear();
+        self.direction.clear();
+        self.radiance.clear();
+        self.sigma.clear();
+    }
+
+    /// Makes room for so many more.
+    fn reserve(&mut self, views: usize) {
+        self.view.reserve(views);
+        self.direction.reserve(views);
+        self.radiance.reserve(views);
+        self.sigma.reserve(views);
+    }
+
     /// The same without some views.
     pub fn without(&self, views: &[u32]) -> Self {
         self.only(|i| !views.contains(&self.view[i]))
@@ -54,13 +70,8 @@ impl TexelObservations {
 
     /// The observations whose index is wanted.
     pub(crate) fn only(&self, is_wanted: impl Fn(usize) -> bool) -> Self {
-        let most = self.len();
-        let mut rest = Self {
-            view: Vec::with_capacity(most),
-            direction: Vec::with_capacity(most),
-            radiance: Vec::with_capacity(most),
-            sigma: Vec::with_capacity(most),
-        };
+        let mut rest = Self::default();
+        rest.reserve(self.len());
         for i in (0..self.len()).filter(|&i| is_wanted(i)) {
             rest.view.push(self.view[i]);
             rest.direction.push(self.direction[i]);

@@ -1,10 +1,12 @@
 //! The parameter map: a model's coefficients for every texel, in a file that other programs open.
 
+mod coverage;
 mod exchange;
 mod fitted;
 mod memory;
 mod selected;
 
+pub use coverage::{Within, coverage, together};
 pub use fitted::fit_surface;
 pub use selected::{Selection, select_surface};
 
@@ -112,19 +114,23 @@ impl ParameterMap {
     /// The radiance of the four texels around is blended, never their coefficients: half way between two lobes lies
     /// no lobe. Beyond the outermost centres the border texels continue.
     pub fn radiance_at(&self, at: DVec2, direction: Vec3) -> [f32; 3] {
-        let toward: Vec<_> = self.models.iter().map(|model| model.toward(direction)).collect();
         let last = DVec2::new(f64::from(self.texels.columns - 1), f64::from(self.texels.rows - 1));
         let at = at.clamp(DVec2::ZERO, last);
         let (column, row) = (at.x.floor() as u32, at.y.floor() as u32);
         let (right, below) = ((at.x - at.x.floor()) as f32, (at.y - at.y.floor()) as f32);
-        let mut sum = [0.0; 3];
+        let (mut sum, mut prepared) = ([0.0; 3], None);
         for (row_step, row_share) in [(0, 1.0 - below), (1, below)] {
             for (column_step, column_share) in [(0, 1.0 - right), (1, right)] {
                 let share = row_share * column_share;
                 if share > 0.0 {
                     let (column, row) = (column + column_step, row + row_step);
-                    let index = row as usize * self.texels.columns as usize + column as usize;
-                    let radiance = toward[self.choice_at(index)].radiance(self.texel(column, row).1);
+                    let (model, parameters) = self.texel(column, row);
+                    // Neighbours mostly have the same model.
+                    if prepared.as_ref().is_none_or(|(of, _)| *of != model) {
+                        prepared = Some((model, model.toward(direction)));
+                    }
+                    let radiance = prepared.iter().map(|(_, toward)| toward.radiance(parameters)).next();
+                    let radiance = radiance.unwrap_or_default();
                     for c in 0..3 {
                         sum[c] += share * radiance[c];
                     }

@@ -346,6 +346,9 @@ pub struct Fit {
     /// With `auto`: a smaller model suffices that predicts held-out views with at most this mean error, such as 2%
     #[arg(long, value_name = "PERCENT", value_parser = parse_part)]
     pub tolerance: Option<f64>,
+    /// Leave out lobes that the views do not determine, instead of keeping the best guess and flagging it
+    #[arg(long)]
+    pub identified_only: bool,
     /// Names of views to leave out, such as view003,view010
     #[arg(long, value_delimiter = ',')]
     pub without: Vec<String>,

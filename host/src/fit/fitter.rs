@@ -117,7 +117,7 @@ impl Fitter {
             gram: None,
             smooth: None,
         };
-        if let Model::Phong { .. } = model {
+        if let Model::Phong { .. } | Model::SharedPhong { .. } = model {
             fitter.shininess_max = sharpest(sample);
             fitter.identified = fitter.sure_enough(sample);
         }
@@ -237,10 +237,10 @@ impl Fitter {
     }
 
     /// Fits one texel from parameters that are roughly right: a neighbour's, or those of an earlier fit. Of the models, only
-    /// lobes are searched for; the others are fitted as [`Fitter::fit`] does.
+    /// lobes with a shininess each are searched for; the others are fitted as [`Fitter::fit`] does.
     pub fn fit_from(&self, texel: &TexelObservations, parameters: &[f32]) -> TexelFit {
         match self.phong_options() {
-            Some(options) if parameters.len() == self.model.parameter_count() => {
+            Some(options) if parameters.len() == 3 + 7 * options.lobes => {
                 self.lobes(phong::refit(texel, parameters, &options), texel)
             }
             _ => self.fit(texel),
@@ -248,10 +248,14 @@ impl Fitter {
     }
 
     fn phong_options(&self) -> Option<PhongOptions> {
-        let Model::Phong { lobes } = self.model else { return None };
+        let (lobes, shared_shininess) = match self.model {
+            Model::Phong { lobes } => (lobes, false),
+            Model::SharedPhong { lobes } => (lobes, true),
+            _ => return None,
+        };
         Some(PhongOptions {
             lobes: usize::from(lobes),
-            shared_shininess: false,
+            shared_shininess,
             shininess_max: self.shininess_max,
             relative_error: self.options.relative_error,
             floor: self.floor,
@@ -284,6 +288,12 @@ impl Fitter {
     }
 
     fn lobes(&self, mut fit: PhongFit, texel: &TexelObservations) -> TexelFit {
+        if let Model::SharedPhong { .. } = self.model {
+            // The strongest lobe comes first: it has radiance if any has.
+            let (diffuse, lobes) = fit.parameters.split_at(3);
+            let each = lobes.chunks_exact(7).flat_map(|lobe| [&lobe[..3], &lobe[4..]].concat());
+            fit.parameters = diffuse.iter().copied().chain([lobes[3]]).chain(each).collect();
+        }
         if !fit.parameters.iter().all(|value| value.is_finite()) {
             let samples = Samples::of(texel, self.options.relative_error, self.floor);
             fit.parameters = self.constant(&samples);
@@ -324,7 +334,7 @@ impl Fitter {
             return (constant(), flags);
         }
         let parameters = match self.model {
-            Model::Constant | Model::Phong { .. } => Some(constant()),
+            Model::Constant | Model::Phong { .. } | Model::SharedPhong { .. } => Some(constant()),
             Model::LogQuadratic => {
                 log_quadratic::fit(samples).map(|found| found.iter().flatten().map(|v| *v as f32).collect())
             }

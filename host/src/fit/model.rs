@@ -10,10 +10,14 @@ use crate::{Error, Result};
 pub enum Model {
     /// One RGB radiance for all directions.
     Constant,
-    /// Kd + Σ Ks max(0, r·d)^m over 1 to 3 lobes, each with its own colour, shininess and direction (after the
-    /// thesis, equation 11.2, whose lobes share one shininess).
+    /// Kd + Σ Ks max(0, r·d)^m over 1 to 4 lobes, each with its own colour, shininess and direction.
     Phong {
-        /// Number of lobes, 1 to 3.
+        /// Number of lobes, 1 to 4.
+        lobes: u8,
+    },
+    /// The same with one shininess for all lobes (thesis, equation 11.2).
+    SharedPhong {
+        /// Number of lobes, 2 to 4.
         lobes: u8,
     },
     /// exp of a quadratic in the direction's x and y, up to a greatest value: seven numbers for each channel. For few
@@ -36,7 +40,8 @@ impl Model {
     /// Every model that has a name.
     pub fn all() -> Vec<Self> {
         let mut all = vec![Self::Constant, Self::LogQuadratic];
-        all.extend((1..=3).map(|lobes| Self::Phong { lobes }));
+        all.extend((1..=4).map(|lobes| Self::Phong { lobes }));
+        all.extend((2..=4).map(|lobes| Self::SharedPhong { lobes }));
         for method in HarmonicsMethod::ALL {
             all.extend(method.orders().map(|order| Self::Harmonics { order, method }));
         }
@@ -63,6 +68,7 @@ impl Model {
             Self::Constant => "constant".into(),
             Self::Phong { lobes: 1 } => "phong".into(),
             Self::Phong { lobes } => format!("phong{lobes}"),
+            Self::SharedPhong { lobes } => format!("phong{lobes}-shared"),
             Self::LogQuadratic => "log-quadratic".into(),
             Self::Harmonics { order, method } => {
                 let (prefix, suffix) = match method {
@@ -82,6 +88,7 @@ impl Model {
         match self {
             Self::Constant => 3,
             Self::Phong { lobes } => 3 + 7 * usize::from(*lobes),
+            Self::SharedPhong { lobes } => 4 + 6 * usize::from(*lobes),
             Self::LogQuadratic => 21,
             Self::Harmonics { order, method } => 3 * method.count(*order),
         }
@@ -93,6 +100,7 @@ impl Model {
             Self::Constant => 1,
             // Diffuse, and for each lobe specular, shininess and two angles.
             Self::Phong { lobes } => 1 + 4 * usize::from(*lobes),
+            Self::SharedPhong { lobes } => 2 + 3 * usize::from(*lobes),
             Self::LogQuadratic => 6,
             Self::Harmonics { order, method } => method.count(*order),
         }
@@ -109,12 +117,14 @@ impl Model {
         let rgb = |base: &str| ["R", "G", "B"].map(|channel| format!("{base}.{channel}"));
         match self {
             Self::Constant => rgb("radiance").into(),
-            Self::Phong { lobes } => {
+            Self::Phong { lobes } | Self::SharedPhong { lobes } => {
+                let is_shared = matches!(self, Self::SharedPhong { .. });
                 let mut names: Vec<_> = rgb("diffuse").into();
+                names.extend(is_shared.then(|| "shininess".to_owned()));
                 for lobe in 1..=*lobes {
                     let number = if lobe == 1 { String::new() } else { lobe.to_string() };
                     names.extend(rgb(&format!("specular{number}")));
-                    names.push(format!("shininess{number}"));
+                    names.extend((!is_shared).then(|| format!("shininess{number}")));
                     names.extend(["X", "Y", "Z"].map(|axis| format!("lobe{number}.{axis}")));
                 }
                 names
@@ -136,6 +146,7 @@ impl Model {
     pub fn radiance(&self, parameters: &[f32], direction: Vec3) -> [f32; 3] {
         match self {
             Self::Constant | Self::Phong { .. } => bounded(lobes(parameters, direction)),
+            Self::SharedPhong { .. } => bounded(shared_lobes(parameters, direction)),
             _ => self.toward(direction).radiance(parameters),
         }
     }
@@ -154,7 +165,7 @@ impl Model {
                     *to = from as f32;
                 }
             }
-            Self::Constant | Self::Phong { .. } => {}
+            Self::Constant | Self::Phong { .. } | Self::SharedPhong { .. } => {}
         }
         toward
     }
@@ -163,9 +174,11 @@ impl Model {
     pub(super) fn constant(&self, radiance: [f32; 3]) -> Vec<f32> {
         let mut parameters = vec![0.0; self.parameter_count()];
         let first = match self {
-            Self::Constant | Self::Phong { .. } => radiance,
+            Self::Constant | Self::Phong { .. } | Self::SharedPhong { .. } => radiance,
             Self::LogQuadratic => radiance.map(|l| (f64::from(l).max(f64::MIN_POSITIVE).ln()) as f32),
-            Self::Harmonics { method, .. } => radiance.map(|l| l * method.basis().one() as f32),
+            Self::Harmonics { method, .. } => {
+                radiance.map(|l| (l * method.basis().one() as f32).min(f32::MAX))
+            }
         };
         parameters[..3].copy_from_slice(&first);
         if *self == Self::LogQuadratic {
@@ -174,6 +187,12 @@ impl Model {
         if let Self::Phong { .. } = self {
             for lobe in parameters[3..].chunks_exact_mut(7) {
                 lobe[3..].copy_from_slice(&[1.0, 0.0, 0.0, 1.0]);
+            }
+        }
+        if let Self::SharedPhong { .. } = self {
+            parameters[3] = 1.0;
+            for lobe in parameters[4..].chunks_exact_mut(6) {
+                lobe[3..].copy_from_slice(&[0.0, 0.0, 1.0]);
             }
         }
         parameters
@@ -193,6 +212,7 @@ impl Toward {
     pub fn radiance(&self, parameters: &[f32]) -> [f32; 3] {
         let radiance = match self.model {
             Model::Constant | Model::Phong { .. } => lobes(parameters, self.direction),
+            Model::SharedPhong { .. } => shared_lobes(parameters, self.direction),
             Model::LogQuadratic => {
                 let log = self.sum(parameters, 6);
                 std::array::from_fn(|c| log[c].min(parameters[18 + c]).exp())
@@ -224,6 +244,19 @@ fn lobes(parameters: &[f32], direction: Vec3) -> [f32; 3] {
     for lobe in parameters[3..].chunks_exact(7) {
         let cosine = Vec3::new(lobe[4], lobe[5], lobe[6]).dot(direction).clamp(0.0, 1.0);
         let power = cosine.powf(lobe[3]);
+        for (value, specular) in sum.iter_mut().zip(lobe) {
+            *value += specular * power;
+        }
+    }
+    sum
+}
+
+/// The same with one shininess for all.
+fn shared_lobes(parameters: &[f32], direction: Vec3) -> [f32; 3] {
+    let mut sum = [parameters[0], parameters[1], parameters[2]];
+    for lobe in parameters[4..].chunks_exact(6) {
+        let cosine = Vec3::new(lobe[3], lobe[4], lobe[5]).dot(direction).clamp(0.0, 1.0);
+        let power = cosine.powf(parameters[3]);
         for (value, specular) in sum.iter_mut().zip(lobe) {
             *value += specular * power;
         }

@@ -23,6 +23,7 @@ const BATCH: usize = 256;
 pub fn candidates() -> Vec<Model> {
     let kept_for_comparison = |model: &Model| match model {
         Model::Harmonics { method, .. } => HarmonicsMethod::is_for_comparison(*method),
+        Model::SharedPhong { .. } => true,
         _ => false,
     };
     Model::all().into_iter().filter(|model| !kept_for_comparison(model)).collect()

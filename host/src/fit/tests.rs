@@ -371,3 +371,59 @@ fn a_texel_that_every_fifth_view_saw_has_its_lobe() {
     }
     assert_eq!(model(&texel), PHONG);
 }
+
+/// Issue 5's list: whatever is observed, there is a fit without NaN, and what is doubtful is flagged.
+#[test]
+fn whatever_is_observed_every_model_gives_numbers() {
+    let good = observe(&cap(60, 1.2), |d| [0.3 + 0.5 * d.z.powi(9), 0.2, 0.1]);
+    let change = |change: &dyn Fn(&mut TexelObservations)| {
+        let mut texel = good.clone();
+        change(&mut texel);
+        texel
+    };
+    let hostile = [
+        ("no view", TexelObservations::default()),
+        ("two views", observe(&cap(2, 1.2), |_| [0.3; 3])),
+        ("all views equal", change(&|texel| texel.direction.fill(Vec3::Z))),
+        ("negative", change(&|texel| texel.radiance.iter_mut().for_each(|l| *l = l.map(|l| -l)))),
+        ("no number", change(&|texel| texel.radiance.fill([f32::NAN; 3]))),
+        ("infinite", change(&|texel| texel.radiance.fill([f32::INFINITY; 3]))),
+        ("some infinite", change(&|texel| texel.radiance[7] = [f32::INFINITY; 3])),
+        ("weights of zero", change(&|texel| texel.sigma.fill(f32::INFINITY))),
+        ("hardly any weight", change(&|texel| texel.sigma.fill(f32::MAX))),
+        ("no direction", change(&|texel| texel.direction.fill(Vec3::ZERO))),
+        ("brightest", change(&|texel| texel.radiance.fill([f32::MAX; 3]))),
+        ("faintest", change(&|texel| texel.radiance.fill([f32::MIN_POSITIVE; 3]))),
+    ];
+    for model in Model::all().into_iter().filter(|model| model.unknowns() <= 60) {
+        let fitter = Fitter::new(model, &FitOptions::default(), std::slice::from_ref(&good)).unwrap();
+        for (name, texel) in &hostile {
+            let fit = fitter.fit(texel);
+            let about = format!("{}, {name}: {fit:?}", model.name());
+            assert_eq!(fit.parameters.len(), model.parameter_count(), "{about}");
+            assert!(fit.parameters.iter().all(|value| value.is_finite()), "{about}");
+            assert!(!fit.residual.is_nan(), "{about}");
+            for direction in [Vec3::Z, Vec3::X, Vec3::new(0.6, 0.0, 0.8)] {
+                let radiance = model.radiance(&fit.parameters, direction);
+                assert!(radiance.iter().all(|l| l.is_finite() && *l >= 0.0), "{about}");
+            }
+            let few = usize::try_from(fit.views).unwrap() < model.unknowns();
+            assert_eq!(fit.flags.contains(FitFlags::TOO_FEW_VIEWS), few, "{about}");
+            assert_eq!(fit.flags.contains(FitFlags::NO_VIEWS), fit.views == 0, "{about}");
+        }
+    }
+}
+
+/// Issue 5's list: ten thousand views of one texel.
+#[test]
+fn ten_thousand_views_are_fitted() {
+    let truth = lobe(30.0, Vec3::new(0.3, 0.1, 0.9));
+    let texel = observe(&cap(10_000, 1.3), |d| PHONG.radiance(&truth, d));
+    for name in ["constant", "phong", "msh91"] {
+        let fit = fit_one(Model::parse(name).unwrap(), &texel);
+        assert_eq!(fit.views, 10_000);
+        assert!(fit.residual.is_finite());
+    }
+    let fit = fit_one(PHONG, &texel);
+    assert!((fit.parameters[6] / 30.0 - 1.0).abs() < 1e-3, "{}", fit.parameters[6]);
+}

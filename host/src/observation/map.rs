@@ -9,7 +9,7 @@ use std::fs::File;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use half::f16;
 use half::slice::HalfFloatSliceExt;
 use memmap2::MmapOptions;
@@ -125,12 +125,6 @@ impl Header {
         file.set_len(self.file_bytes())?;
         Ok(bytes.len() as u64)
     }
-
-    /// The direction from a texel to the camera of a view.
-    fn direction(&self, column: u32, row: u32, view: usize) -> Vec3 {
-        let point = self.surface.texel_centre(self.texels, column, row);
-        (self.views[view].centre_m - point).normalize().as_vec3()
-    }
 }
 
 /// An observation map on disk, open for reading.
@@ -229,13 +223,30 @@ impl ObservationMap {
     /// # Errors
     /// [`Error::Io`] when the file cannot be mapped.
     pub fn tile(&self, tile: usize) -> Result<Vec<((u32, u32), TexelObservations)>> {
+        let mut texels = vec![];
+        self.read_tile(tile, &mut texels)?;
+        Ok(texels)
+    }
+
+    /// Puts the texels of one tile in the place of those of another, whose memory it takes over.
+    pub(crate) fn read_tile(
+        &self,
+        tile: usize,
+        texels: &mut Vec<((u32, u32), TexelObservations)>,
+    ) -> Result<()> {
         let header = &self.header;
         let block = header.block_bytes() as usize;
-        let length = block * header.views.len();
-        let mut texels: Vec<((u32, u32), TexelObservations)> =
-            header.slots(tile).flatten().map(|texel| (texel, TexelObservations::default())).collect();
+        let (views, length) = (header.views.len(), block * header.views.len());
+        let places: Vec<(usize, (u32, u32))> =
+            header.slots(tile).enumerate().filter_map(|(slot, texel)| Some((slot, texel?))).collect();
+        texels.resize_with(places.len(), Default::default);
+        for ((at, texel), (_, place)) in texels.iter_mut().zip(&places) {
+            *at = *place;
+            texel.clear();
+            texel.reserve(views);
+        }
         if length == 0 {
-            return Ok(texels);
+            return Ok(());
         }
         // SAFETY: the map is read only and lives as long as this call; the file is complete (checked when opened) and was
         // renamed into its place, so nobody of ours writes to it or shortens it.
@@ -248,27 +259,29 @@ impl ObservationMap {
         }
         .map_err(Error::io("map", &self.path))?;
         let unit = header.unit as f32;
-        let mut values = vec![0f32; header.tile.count() * VALUES];
-        let halves = |view: usize| -> Vec<f16> {
-            bytes[view * block..(view + 1) * block]
-                .chunks_exact(2)
-                .map(|b| f16::from_le_bytes([b[0], b[1]]))
-                .collect()
+        let centre = |(_, (column, row)): &(usize, (u32, u32))| {
+            header.surface.texel_centre(header.texels, *column, *row)
         };
-        for view in 0..header.views.len() {
-            halves(view).convert_to_f32_slice(&mut values);
-            let measured =
-                header.slots(tile).zip(values.chunks_exact(VALUES)).filter(|(slot, _)| slot.is_some());
-            for (((column, row), texel), (_, value)) in texels.iter_mut().zip(measured) {
-                if value[4] != 0.0 {
-                    continue;
+        let centres: Vec<DVec3> = places.iter().map(centre).collect();
+        let mut halves = vec![f16::ZERO; header.tile.count() * VALUES];
+        let mut values = vec![0f32; header.tile.count() * VALUES];
+        for (view, bytes) in bytes.chunks_exact(block).enumerate() {
+            for (half, bytes) in halves.iter_mut().zip(bytes.as_chunks::<2>().0) {
+                *half = f16::from_le_bytes(*bytes);
+            }
+            halves.convert_to_f32_slice(&mut values);
+            let values = values.as_chunks::<VALUES>().0;
+            let camera = header.views[view].centre_m;
+            for (((_, texel), (slot, _)), centre) in texels.iter_mut().zip(&places).zip(&centres) {
+                let [r, g, b, sigma, mask] = values[*slot];
+                if mask == 0.0 {
+                    texel.view.push(view as u32);
+                    texel.direction.push((camera - centre).as_vec3().normalize());
+                    texel.radiance.push([r * unit, g * unit, b * unit]);
+                    texel.sigma.push(sigma * unit);
                 }
-                texel.view.push(view as u32);
-                texel.direction.push(header.direction(*column, *row, view));
-                texel.radiance.push([value[0] * unit, value[1] * unit, value[2] * unit]);
-                texel.sigma.push(value[3] * unit);
             }
         }
-        Ok(texels)
+        Ok(())
     }
 }

@@ -295,7 +295,7 @@ impl ParameterMap {
     fn meaning(&self) -> String {
         let formula = |model: &Model| match model {
             Model::Constant => "L = radiance",
-            Model::Phong { .. } => {
+            Model::Phong { .. } | Model::SharedPhong { .. } => {
                 "L(d) = diffuse + sum over lobes of specular * max(0, dot(lobe, d))^shininess"
             }
             Model::LogQuadratic => {

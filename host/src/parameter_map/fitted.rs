@@ -33,17 +33,17 @@ pub fn fit_surface(
     let target = Mutex::new((vec![0f32; texels.count() * count], empty(texels.count())));
     let (tiles, done) = (header.tiles().count(), AtomicUsize::new(0));
     progress.step(0, tiles)?;
-    (0..tiles).into_par_iter().try_for_each(|tile| {
-        let (places, observed): (Vec<_>, Vec<_>) =
-            map.tile(tile)?.into_iter().map(|(texel, of)| (texel, leave_out(of, without))).unzip();
-        let observed: Vec<_> = observed.iter().collect();
+    (0..tiles).into_par_iter().try_for_each_init(Vec::new, |read, tile| {
+        map.read_tile(tile, read)?;
+        leave_out(read, without);
+        let observed: Vec<_> = read.iter().map(|(_, texel)| texel).collect();
         // Where there are few tiles each is work for all cores.
         let some = if tiles < 4 * rayon::current_num_threads() { SOME } else { observed.len() };
         let fits: Vec<_> =
             observed.par_chunks(some.max(1)).flat_map_iter(|texels| fitter.fit_tile(texels)).collect();
         let mut target = target.lock().map_err(|_| Error::Interrupted)?;
         let (parameters, diagnostics) = &mut *target;
-        for ((column, row), fit) in places.into_iter().zip(fits) {
+        for (&((column, row), _), fit) in read.iter().zip(fits) {
             let index = row as usize * texels.columns as usize + column as usize;
             parameters[index * count..(index + 1) * count].copy_from_slice(&fit.parameters);
             diagnostics.residual[index] = fit.residual;
@@ -68,8 +68,11 @@ pub fn fit_surface(
 /// So many texels of a tile are worth the work that smooth models share between them.
 const SOME: usize = 256;
 
-pub(super) fn leave_out(texel: TexelObservations, without: &[u32]) -> TexelObservations {
-    if without.is_empty() { texel } else { texel.without(without) }
+/// Forgets some views.
+pub(super) fn leave_out(texels: &mut [((u32, u32), TexelObservations)], without: &[u32]) {
+    for (_, texel) in texels.iter_mut().filter(|_| !without.is_empty()) {
+        *texel = texel.without(without);
+    }
 }
 
 pub(super) fn empty(count: usize) -> Diagnostics {

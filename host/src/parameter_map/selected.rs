@@ -55,15 +55,12 @@ pub fn select_surface(
     let step = || progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, 2 * tiles);
     let evidence = Mutex::new(vec![Evidence::default(); texels.count()]);
     let index = |(column, row): (u32, u32)| row as usize * texels.columns as usize + column as usize;
-    let tile_of = |tile: usize| -> Result<(Vec<usize>, Vec<_>)> {
-        let observed = map.tile(tile)?.into_iter();
-        Ok(observed.map(|(texel, observations)| (index(texel), leave_out(observations, without))).unzip())
-    };
-    (0..tiles).into_par_iter().try_for_each(|tile| {
-        let (places, observed) = tile_of(tile)?;
-        let found = selector.evidence(&observed.iter().collect::<Vec<_>>());
+    (0..tiles).into_par_iter().try_for_each_init(Vec::new, |read, tile| {
+        map.read_tile(tile, read)?;
+        leave_out(read, without);
+        let found = selector.evidence(&read.iter().map(|(_, texel)| texel).collect::<Vec<_>>());
         let mut evidence = evidence.lock().map_err(|_| Error::Interrupted)?;
-        places.into_iter().zip(found).for_each(|(place, found)| evidence[place] = found);
+        read.iter().zip(found).for_each(|((texel, _), found)| evidence[index(*texel)] = found);
         drop(evidence);
         step()
     })?;
@@ -76,12 +73,14 @@ pub fn select_surface(
     let target =
         Mutex::new((vec![0f32; texels.count() * stride], empty(texels.count()), ZenithRatios::default()));
     let measured_step = texels.count().div_ceil(MEASURED);
-    (0..tiles).into_par_iter().try_for_each(|tile| {
-        let (places, observed) = tile_of(tile)?;
+    (0..tiles).into_par_iter().try_for_each_init(Vec::new, |read, tile| {
+        map.read_tile(tile, read)?;
+        leave_out(read, without);
+        let places: Vec<usize> = read.iter().map(|(texel, _)| index(*texel)).collect();
         let choices: Vec<Choice> = places.iter().map(|&i| chosen[i]).collect();
-        let fits = selector.fit(&observed.iter().collect::<Vec<_>>(), &choices);
+        let fits = selector.fit(&read.iter().map(|(_, texel)| texel).collect::<Vec<_>>(), &choices);
         let mut ratios = ZenithRatios::default();
-        for (&i, texel) in places.iter().zip(&observed).filter(|(i, _)| **i % measured_step == 0) {
+        for (&i, (_, texel)) in places.iter().zip(read.iter()).filter(|(i, _)| **i % measured_step == 0) {
             ratios.extend(selector.zenith_ratios(texel, sigma[i], &chosen[i]));
         }
         let mut target = target.lock().map_err(|_| Error::Interrupted)?;

@@ -4,10 +4,12 @@ use std::path::Path;
 
 use rigel::calibration::Registration;
 use rigel::evaluate::{evaluate as score, read_references, session_references};
-use rigel::fit::{FitFlags, FitOptions, Model, Reason, candidates};
+use rigel::fit::{BANDS, FitFlags, FitOptions, Model, Reason, candidates};
 use rigel::geometry::{Lens, Pose};
 use rigel::observation::ObservationMap;
-use rigel::parameter_map::{Diagnostics, ParameterMap, Selection, fit_surface, select_surface};
+use rigel::parameter_map::{
+    Diagnostics, ParameterMap, Selection, Within, coverage, fit_surface, select_surface, together,
+};
 use rigel::render::{gamma_for_median, render as draw};
 use rigel::session::Session;
 use rigel::view_file::read_camera;
@@ -21,7 +23,7 @@ use crate::verbs::{require_extension, session_views, views_by_name};
 /// `rigel fit`.
 pub fn fit(arguments: &Fit) -> Result<()> {
     let map = ObservationMap::open(&arguments.observations)?;
-    let options = FitOptions::default();
+    let options = FitOptions { identified_only: arguments.identified_only, ..FitOptions::default() };
     let names = map.header().views.iter().map(|view| view.name.as_str());
     let without: Vec<u32> =
         views_by_name(names, &arguments.without, &arguments.observations.display().to_string())?
@@ -42,6 +44,13 @@ pub fn fit(arguments: &Fit) -> Result<()> {
                 ));
             }
             let model = Model::parse(name)?;
+            if arguments.identified_only && !matches!(model, Model::Phong { .. } | Model::SharedPhong { .. })
+            {
+                return Err(Error::request(
+                    format!("--identified-only says nothing to --model {name}, which has no lobes"),
+                    "leave it out, or fit phong to phong4 or auto",
+                ));
+            }
             (fit_surface(&map, model, &options, &without, &Bar::new("fitting"))?, model.name())
         }
     };
@@ -51,7 +60,29 @@ pub fn fit(arguments: &Fit) -> Result<()> {
     fitted.write(&out)?;
     say!("wrote {}: {}, {:.1} bytes per texel", out.display(), fitted.name(), fitted.bytes_per_texel());
     summarise(&fitted);
+    if fitted.uncertainty.is_some() && !without.is_empty() {
+        say_coverage(&fitted, &coverage(&fitted, &map, &without, &Bar::new("comparing"))?);
+    }
     Ok(())
+}
+
+/// Whether the stated doubt holds in the views that were left out.
+fn say_coverage(fitted: &ParameterMap, counts: &[[Within; BANDS]]) {
+    let percent = |within: Within| format!("{:.1} %", 100.0 * within.share());
+    let all = together(counts.iter().flatten());
+    say!(
+        "of {} measurements in the views left out {} lie within one predicted standard deviation (68 % should)",
+        all.all,
+        percent(all)
+    );
+    let bands = (0..BANDS).map(|band| (band, together(counts.iter().map(|counts| &counts[band]))));
+    let bands = bands.filter(|(_, within)| within.all > 0);
+    let bands = bands.map(|(band, within)| format!("{}-{}: {}", 15 * band, 15 * band + 15, percent(within)));
+    say!("  by zenith, degrees: {}", bands.collect::<Vec<_>>().join(", "));
+    let models = fitted.models.iter().zip(counts).map(|(model, counts)| (model, together(counts)));
+    let models = models.filter(|(_, within)| within.all > 0);
+    let models = models.map(|(model, within)| format!("{}: {}", model.name(), percent(within)));
+    say!("  by model: {}", models.collect::<Vec<_>>().join(", "));
 }
 
 /// What was chosen and why.
@@ -99,7 +130,7 @@ fn summarise(fitted: &ParameterMap) {
         (FitFlags::NOT_CONVERGED, "did not converge"),
         (
             FitFlags::UNIDENTIFIED,
-            "have a lobe that their views do not determine: what lies between the views is a guess there",
+            "have a highlight that their views do not determine: what lies between the views is a guess there",
         ),
     ] {
         let count = diagnostics.flags.iter().filter(|flags| flags.contains(flag)).count();

@@ -23,6 +23,9 @@ pub(super) struct Found {
     pub right: Vec<f64>,
 }
 
+/// Where the covariance gives a lobe no better chance of being right, it is taken at its word.
+const HOPELESS: f64 = 0.2;
+
 impl<const L: usize, const N: usize, const R: usize> From<(Place<L, N, R>, bool)> for Found {
     fn from((place, converged): (Place<L, N, R>, bool)) -> Self {
         Self {
@@ -163,7 +166,7 @@ impl Found {
         let linear = within(DIRECTION_RAD, wide_rad) * within(DIRECTION_RAD, narrow_rad) * shininess;
         let variance = self.variance(views);
         // Least squares are blind to what lies far off only if that far off is hopeless already.
-        if linear < 0.02 || (linear > 0.999 && self.seen(l, views, variance) >= 6) {
+        if linear < HOPELESS || (linear > 0.999 && self.seen(l, views, variance) >= 6) {
             return linear;
         }
         let (mut others, lobe) = (self.clone(), self.lobes[l]);
