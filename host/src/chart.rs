@@ -52,6 +52,8 @@ pub enum Drawn {
     Marks,
     /// One line: what was fitted.
     Line,
+    /// A line in the page's ink: what the others are held against.
+    Limit,
 }
 
 /// A comparison of methods in which less is better on both axes, such as time against error. The points that no other
@@ -114,6 +116,7 @@ pub fn lines(series: &[Series], axes: (Axis, Axis)) -> Result<String> {
         match series[i].drawn {
             Drawn::Marks => Mark::Filled(name),
             Drawn::Line => Mark::Line(name),
+            Drawn::Limit => Mark::Front,
         }
     };
     let drawn = |name: &str, drawn| series.iter().position(|s| s.name == name && s.drawn == drawn);
@@ -122,7 +125,7 @@ pub fn lines(series: &[Series], axes: (Axis, Axis)) -> Result<String> {
     let legend: Vec<(&str, Mark)> = names.iter().map(|name| (*name, shown(name))).collect();
     chart(scales(&all, axes), axes, &legend, |canvas| {
         // Lines first: a mark must not hide behind the curve that was fitted to it.
-        for (i, s) in series.iter().enumerate().filter(|(_, s)| s.drawn == Drawn::Line) {
+        for (i, s) in series.iter().enumerate().filter(|(_, s)| s.drawn != Drawn::Marks) {
             canvas.line(&s.points, mark(i))?;
         }
         for (i, s) in series.iter().enumerate().filter(|(_, s)| s.drawn == Drawn::Marks) {

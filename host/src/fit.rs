@@ -11,6 +11,7 @@ mod held_out;
 mod log_quadratic;
 mod model;
 mod phong;
+mod pooled;
 mod selector;
 mod small;
 mod surface;

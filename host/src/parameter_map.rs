@@ -4,10 +4,12 @@ mod coverage;
 mod exchange;
 mod fitted;
 mod memory;
+mod resolution;
 mod selected;
 
 pub use coverage::{Within, coverage, together};
 pub use fitted::fit_surface;
+pub use resolution::{Coarser, coarser};
 pub use selected::{Selection, select_surface};
 
 use glam::{DVec2, Vec3};

@@ -2,15 +2,20 @@
 
 #![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
 
-use glam::{DVec2, DVec3};
+use glam::{DVec2, DVec3, Vec3};
+use rand::SeedableRng;
+use rand::rngs::StdRng;
 use rigel::calibration::{
     BoardView, LensCalibration, RegisterOptions, RegisteredView, Registration, calibrate_lens, register,
     register_corners,
 };
+use rigel::fit::{FitFlags, FitOptions, Fitter, Model};
 use rigel::geometry::Lens;
 use rigel::picture::Picture;
 use rigel::progress::Silent;
 use rigel::radiance::{RadianceImage, Samples, Stack, merge};
+use rigel_atlas::error_at;
+use rigel_atlas::texels::{Doubt, directions, lobes, observe};
 use rigel_simulated::board::{Board, cover};
 use rigel_simulated::camera::{Options, SimulatedCamera};
 use rigel_simulated::scene::Scene;
@@ -175,4 +180,74 @@ fn what_is_clipped_is_a_lower_bound_and_the_rest_is_measured() {
     }
     // Nothing that was clipped passes as measured.
     assert!((0..truth.len()).all(|i| f64::from(brightest(i)) < 1.02 * limit || saturated(i)));
+}
+
+/// Each row: what is made worse, a model, a value that it stands, and the next one, that it does not; `rigel chart` draws the curves
+/// between. Broken is a mean error above 5 %, or no fit.
+#[test]
+fn models_of_a_texel_break_where_the_atlas_says() {
+    let broken = |sweep: &str, value: f32, model: &str| {
+        let error = error_at(sweep, value, model).unwrap();
+        println!("{model} with {sweep} {value}: {error:.4?}");
+        error.is_none_or(|error| error > 0.05)
+    };
+    for (sweep, model, stands, breaks) in [
+        ("views", "phong", 10.0, 6.0),
+        ("views", "auto", 17.0, 6.0),
+        ("views", "msh36", 37.0, 17.0),
+        ("zenith", "phong", 45.0, 20.0),
+        ("zenith", "msh36", 60.0, 30.0),
+        ("shininess", "constant", 30.0, 3.0),
+        ("shininess", "log-quadratic", 100.0, 10.0),
+        ("lamps", "phong", 1.0, 3.0),
+        ("lamps", "phong2", 2.0, 4.0),
+        ("noise", "msh36", 3.0, 30.0),
+        ("pose_error", "phong", 1.0, 10.0),
+        ("pose_error", "phong2", 0.3, 10.0),
+    ] {
+        assert!(!broken(sweep, stands, model), "{model} breaks at {sweep} {stands}");
+        assert!(broken(sweep, breaks, model), "{model} stands {sweep} {breaks}");
+    }
+    // The choice stands everything but too few views.
+    for (sweep, hardest) in [
+        ("noise", 30.0),
+        ("zenith", 20.0),
+        ("shininess", 1000.0),
+        ("lamps", 4.0),
+        ("lamp_size", 40.0),
+        ("clipping", 0.2),
+    ] {
+        assert!(!broken(sweep, hardest, "auto"), "auto breaks at {sweep} {hardest}");
+    }
+}
+
+/// And what breaks is said: most of the texels whose lobe any view saw are flagged, where before hardly one is. (A lobe that no view saw
+/// is nobody's to tell.)
+#[test]
+fn texels_that_break_are_flagged() {
+    let flagged = |shininess: f32, views: usize| {
+        let toward = directions(views, 1.309, 0.0);
+        let (mut truths, mut texels) = (vec![], vec![]);
+        for seed in 0..60 {
+            let mut truth = lobes(&mut StdRng::seed_from_u64(seed), 1);
+            truth.lobes[0].2 = shininess;
+            texels.push(observe(&truth, &toward, &Doubt::USUAL, seed));
+            truths.push(truth);
+        }
+        let fitter = Fitter::new(Model::Phong { lobes: 1 }, &FitOptions::default(), &texels).unwrap();
+        let (mut seen, mut said) = (0, 0);
+        for (truth, texel) in truths.iter().zip(&texels) {
+            let above = |d: &Vec3| (truth.radiance(*d) - truth.diffuse).max_element();
+            if toward.iter().any(|d| above(d) > 0.05) {
+                seen += 1;
+                said += usize::from(fitter.fit(texel).flags != FitFlags::default());
+            }
+        }
+        println!("m {shininess}, {views} views: {said} of {seen} flagged");
+        assert!(seen > 5);
+        said as f64 / f64::from(seen)
+    };
+    assert!(flagged(30.0, 150) < 0.1);
+    assert!(flagged(1000.0, 150) > 0.9, "sharper than the views' spacing");
+    assert!(flagged(30.0, 8) > 0.9, "few views");
 }

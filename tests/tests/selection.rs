@@ -6,7 +6,9 @@ use rand::rngs::StdRng;
 use rigel::fit::{FitFlags, FitOptions, Model, candidates};
 use rigel::geometry::Texels;
 use rigel::observation::TexelObservations;
-use rigel::parameter_map::{ParameterMap, Selection, coverage, fit_surface, select_surface, together};
+use rigel::parameter_map::{
+    ParameterMap, Selection, coarser, coverage, fit_surface, select_surface, together,
+};
 use rigel::progress::Silent;
 use rigel_atlas::texels::{Doubt, directions, lobes, observe, write_map};
 
@@ -128,4 +130,23 @@ fn a_black_texel_can_be_fitted_and_written_in_every_model() {
         let few = diagnostics.flags[THREE_VIEWS];
         assert_eq!(few.contains(FitFlags::TOO_FEW_VIEWS), model.unknowns() > 3, "{}", model.name());
     }
+}
+
+/// The truth has fields of 4 x 4 texels: so coarse texels would do, and none that are coarser.
+#[test]
+fn texels_that_are_too_fine_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let texels = Texels { columns: 32, rows: 32 };
+    let toward = directions(VIEWS, 1.3, 0.0);
+    let texel = |i: usize| {
+        let field = i % 32 / 4 + i / 32 / 4 * 8;
+        let truth = lobes(&mut StdRng::seed_from_u64(field as u64), 1);
+        observe(&truth, &toward, &Doubt::USUAL, i as u64)
+    };
+    let observed: Vec<TexelObservations> = (0..texels.count()).map(texel).collect();
+    let map = write_map(&folder.path().join("map.rigel"), texels, &toward, &observed).unwrap();
+    let tried = coarser(&map, &Selection::default(), &[], &Silent).unwrap();
+    println!("{tried:?}");
+    let suffices: Vec<(u32, bool)> = tried.iter().map(|of| (of.texels.columns, of.suffices())).collect();
+    assert_eq!(suffices, [(16, true), (8, true), (4, false)]);
 }

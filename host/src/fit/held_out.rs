@@ -26,7 +26,7 @@ pub(super) fn held_out(fitters: &[Fitter], texels: &[&TexelObservations]) -> Vec
         .iter()
         .map(|texel| fitters.iter().map(|_| Some(Vec::with_capacity(texel.len()))).collect())
         .collect();
-    for part in 0..PARTS {
+    for part in each_part() {
         let of =
             |texel: &TexelObservations, parts: &[u8], held: bool| texel.only(|i| (parts[i] == part) == held);
         let kept: Vec<_> = texels.iter().zip(&parts).map(|(texel, parts)| of(texel, parts, false)).collect();
@@ -49,9 +49,14 @@ pub(super) fn held_out(fitters: &[Fitter], texels: &[&TexelObservations]) -> Vec
     found
 }
 
+/// The parts' numbers.
+pub(super) fn each_part() -> std::ops::Range<u8> {
+    0..PARTS
+}
+
 /// Which part each of a texel's views belongs to: neighbours, and what repeats itself, are torn apart, and the parts are
 /// equally large.
-fn deal(views: &[u32]) -> Vec<u8> {
+pub(super) fn deal(views: &[u32]) -> Vec<u8> {
     // Steele, Lea and Flood 2014: SplitMix, the last steps.
     let shuffled = |view: u32| {
         let mut bits = (u64::from(view) + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
@@ -69,7 +74,8 @@ fn deal(views: &[u32]) -> Vec<u8> {
     parts
 }
 
-fn predict<'a>(
+/// What a fit with these parameters predicts of `held`.
+pub(super) fn predict<'a>(
     fitter: &'a Fitter,
     parameters: &'a [f32],
     held: &'a TexelObservations,

@@ -8,6 +8,7 @@ use super::fitter::{FitOptions, Fitter, TexelFit};
 use super::harmonics::HarmonicsMethod;
 use super::held_out::held_out;
 use super::model::Model;
+use super::pooled;
 use crate::geometry::Texels;
 use crate::observation::TexelObservations;
 use crate::{Error, Result};
@@ -121,6 +122,30 @@ impl Selector {
     /// where that is not known.
     pub fn sigma(&self, evidence: &Evidence, choice: &Choice) -> f32 {
         evidence.of.get(choice.model).map_or(f32::INFINITY, |prediction| prediction.sigma)
+    }
+
+    /// By how much the mean error in unseen views grows where `side` x `side` texels become one, relative: `tiles` are blocks of
+    /// texels, row by row, so many columns wide. By the best single one of the constant and the models of lobes. `None` where no
+    /// block fits in or too few views saw one.
+    pub fn growth(&self, tiles: &[(usize, Vec<TexelObservations>)], side: usize) -> Option<f64> {
+        let lobes = |fitter: &Fitter| matches!(fitter.model(), Model::Constant | Model::Phong { .. });
+        let fitters = &self.fitters[..self.fitters.partition_point(lobes)];
+        let blocks = tiles.iter().flat_map(|(columns, texels)| {
+            let (wide, high) = (columns / side, texels.len() / columns / side);
+            (0..wide * high).map(move |block| {
+                let corner = block / wide * side * columns + block % wide * side;
+                let of = move |i: usize| &texels[corner + i / side * columns + i % side];
+                (0..side * side).map(of).collect::<Vec<_>>()
+            })
+        });
+        let blocks: Vec<Vec<&TexelObservations>> = blocks.collect();
+        let sums = blocks.par_iter().filter_map(|block| pooled::errors(fitters, block));
+        let sums = sums.reduce_with(|mut a, b| {
+            a.iter_mut().zip(b).for_each(|(a, b)| *a = [a[0] + b[0], a[1] + b[1]]);
+            a
+        })?;
+        let least = |which: usize| sums.iter().map(|sum| sum[which]).fold(f64::INFINITY, f64::min);
+        (least(1) > 0.0).then(|| least(0) / least(1) - 1.0)
     }
 
     /// Measures how much less sure the chosen models are near the horizon, on some of the texels.

@@ -1,6 +1,6 @@
 //! Models of a texel: what each costs in time and memory, how well it predicts, and where it breaks.
 
-mod breaks;
+pub(crate) mod breaks;
 pub mod texels;
 mod thesis;
 
@@ -138,7 +138,8 @@ pub fn sweep(folder: &Path, report: &mut Report, progress: &dyn Progress) -> Res
     }
     let scatter = |x: &dyn Fn(&Done) -> f64, label: &str| {
         let point = |(name, done): &(String, Done)| ChartPoint {
-            method: name.clone(),
+            // Orders and numbers of lobes of one kind share a colour.
+            method: name.chars().filter(|letter| !letter.is_ascii_digit()).collect(),
             x: x(done),
             y: 100.0 * done.error,
             label: name.clone(),

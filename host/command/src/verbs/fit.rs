@@ -5,10 +5,11 @@ use std::path::Path;
 use rigel::calibration::Registration;
 use rigel::evaluate::{evaluate as score, read_references, session_references};
 use rigel::fit::{BANDS, FitFlags, FitOptions, Model, Reason, candidates};
-use rigel::geometry::{Lens, Pose};
+use rigel::geometry::{Lens, Pose, Texels};
 use rigel::observation::ObservationMap;
 use rigel::parameter_map::{
-    Diagnostics, ParameterMap, Selection, Within, coverage, fit_surface, select_surface, together,
+    Coarser, Diagnostics, ParameterMap, Selection, Within, coarser, coverage, fit_surface, select_surface,
+    together,
 };
 use rigel::render::{gamma_for_median, render as draw};
 use rigel::session::Session;
@@ -60,10 +61,29 @@ pub fn fit(arguments: &Fit) -> Result<()> {
     fitted.write(&out)?;
     say!("wrote {}: {}, {:.1} bytes per texel", out.display(), fitted.name(), fitted.bytes_per_texel());
     summarise(&fitted);
+    if arguments.model == "auto" {
+        let selection = Selection { fit: options, tolerance: 0.0 };
+        say_texels(&coarser(&map, &selection, &without, &Bar::new("trying coarser texels"))?);
+    }
     if fitted.uncertainty.is_some() && !without.is_empty() {
         say_coverage(&fitted, &coverage(&fitted, &map, &without, &Bar::new("comparing"))?);
     }
     Ok(())
+}
+
+/// How fine texels the data support.
+fn say_texels(coarser: &[Coarser]) {
+    let name = |texels: Texels| format!("{}x{}", texels.columns, texels.rows);
+    if let Some(enough) = coarser.iter().rfind(|coarser| coarser.suffices()) {
+        say!("{} texels would predict unseen views as well", name(enough.texels));
+    }
+    if let Some(few) = coarser.iter().find(|coarser| !coarser.suffices()) {
+        say!(
+            "with {} texels the error in unseen views grows by {:.0} %",
+            name(few.texels),
+            100.0 * few.growth
+        );
+    }
 }
 
 /// Whether the stated doubt holds in the views that were left out.

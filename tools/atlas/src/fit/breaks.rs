@@ -10,7 +10,7 @@ use rigel::chart::{self, Axis, Drawn, Series};
 use rigel::report::Report;
 
 use super::texels::{Doubt, Truth, directions, lobes};
-use super::{AUTO, ZENITH_RAD, fit, observe_all};
+use super::{AUTO, Done, ZENITH_RAD, fit, observe_all};
 use crate::figures::{figure, table};
 use crate::table::Table;
 
@@ -30,6 +30,24 @@ struct Sweep {
     values: &'static [f32],
     logarithmic: bool,
     make: fn(f32) -> Case,
+}
+
+impl Sweep {
+    /// What a model does at a value; `None` where it needs more views.
+    fn at(&self, value: f32, model: &str) -> Result<Option<Done>> {
+        let (truths, toward, doubt) = (self.make)(value);
+        fit(model, &truths, &observe_all(&truths, &toward, &doubt))
+    }
+}
+
+/// The mean error of a model, relative, where the sweep of this name is at `value`; `None` where there is no such sweep, or the model
+/// needs more views.
+///
+/// # Errors
+/// [`rigel::Error::Request`] when there is no such model.
+pub fn error_at(sweep: &str, value: f32, model: &str) -> Result<Option<f64>> {
+    let Some(sweep) = SWEEPS.iter().find(|of| of.name == sweep) else { return Ok(None) };
+    Ok(sweep.at(value, model)?.map(|done| done.error))
 }
 
 const SWEEPS: [Sweep; 8] = [
@@ -160,10 +178,8 @@ pub fn sweep(folder: &Path, report: &mut Report, step: &dyn Fn(usize) -> Result<
         let mut series: Vec<Series> =
             MODELS.map(|name| Series { name: name.into(), points: vec![], drawn: Drawn::Line }).into();
         for &value in sweep.values {
-            let (truths, toward, doubt) = (sweep.make)(value);
-            let observed = observe_all(&truths, &toward, &doubt);
             for series in &mut series {
-                let Some(done) = fit(&series.name, &truths, &observed)? else { continue };
+                let Some(done) = sweep.at(value, &series.name)? else { continue };
                 series.points.push((value.into(), 100.0 * done.error.max(1e-5)));
                 raw.row(vec![
                     sweep.name.into(),
@@ -183,7 +199,7 @@ pub fn sweep(folder: &Path, report: &mut Report, step: &dyn Fn(usize) -> Result<
         series.push(Series {
             name: "broken above".into(),
             points: ends.map(|value| (value.into(), 100.0 * BROKEN)).into(),
-            drawn: Drawn::Line,
+            drawn: Drawn::Limit,
         });
         series.retain(|series| !series.points.is_empty());
         let axes = (
