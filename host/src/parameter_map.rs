@@ -48,7 +48,7 @@ pub struct Diagnostics {
     pub flags: Vec<FitFlags>,
     /// Where each texel has a model of its own: index into `models` of the one that was nearly taken.
     pub runner_up: Vec<u8>,
-    /// And why it was not.
+    /// And why each texel has the one that it has.
     pub reason: Vec<Reason>,
     /// The part of (radiance + [`Uncertainty::floor`]) within which 68 % of measurements in unseen directions lie, averaged over
     /// them; infinite where that is not known.

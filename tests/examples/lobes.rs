@@ -6,7 +6,8 @@
 //!
 //! Of each file it prints, with equal weights (as the peers fit) and with weights by the noise (1 % and 0.002):
 //! texels per CPU second; the share whose lobes are all right (direction within 1 degree, shininess within 20 %); that
-//! of a fit started at the truth; RMSE over noise floor; the share reported as identified, and how many of those are right.
+//! of a fit started at the truth; RMSE over noise floor; the share reported as identified (nothing flagged, no parameter at its bound),
+//! and how many of those are right.
 
 use std::path::Path;
 use std::time::Instant;

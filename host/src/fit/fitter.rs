@@ -50,6 +50,8 @@ impl FitFlags {
     /// The views do not determine a lobe: its direction may be off by more than 1 degree or its shininess by more than
     /// 20 %, though the fit reproduces what was measured.
     pub const UNIDENTIFIED: Self = Self(16);
+    /// The harmonics had to be held above zero somewhere: they say less there than elsewhere.
+    pub const HELD: Self = Self(32);
 
     /// Whether all flags of `other` are set.
     pub fn contains(self, other: Self) -> bool {
@@ -92,8 +94,15 @@ impl Fitter {
     /// scale of its radiance and, for smoothed harmonics, the weight of the smoothness.
     ///
     /// # Errors
-    /// [`Error::Request`] when no texel of the sample was measured in as many views as the model has unknowns.
+    /// [`Error::Request`] when no texel of the sample was measured in as many views as the model has unknowns, or the model is
+    /// none of [`Model::all`].
     pub fn new(model: Model, options: &FitOptions, sample: &[TexelObservations]) -> Result<Self> {
+        if !Model::all().contains(&model) {
+            return Err(Error::request(
+                format!("there is no model {}", model.name()),
+                "choose one of Model::all()",
+            ));
+        }
         let views = sample.iter().map(|texel| texel.direction.len()).max().unwrap_or(0);
         if views < model.unknowns() {
             return Err(Error::request(
@@ -170,6 +179,9 @@ impl Fitter {
         let mut flags = FitFlags::default();
         if !fit.converged {
             flags.set(FitFlags::NOT_CONVERGED);
+        }
+        if fit.held {
+            flags.set(FitFlags::HELD);
         }
         let SmoothFit { parameters, residual, views, .. } = fit;
         TexelFit { parameters, residual, views, flags }

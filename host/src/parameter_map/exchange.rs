@@ -65,6 +65,19 @@ impl ParameterMap {
                 MAKE_AGAIN,
             ));
         }
+        if let Some(Diagnostics { residual, views, flags, runner_up, reason, sigma }) = &self.diagnostics {
+            let lengths = [residual.len(), views.len(), flags.len()];
+            let choices = [runner_up.len(), reason.len(), sigma.len()];
+            if lengths != [texels; 3] || choices.iter().any(|length| ![0, texels].contains(length)) {
+                return Err(Error::request("the diagnostics are not one for each texel", MAKE_AGAIN));
+            }
+            if let Some(wrong) = residual.iter().position(|value| !value.is_finite()) {
+                return Err(Error::request(
+                    format!("texel {wrong} has the residual {}", residual[wrong]),
+                    MAKE_AGAIN,
+                ));
+            }
+        }
         let mut channels = Vec::new();
         for (name, is_logarithm) in self.channels() {
             let places = self.places(&name);
@@ -321,7 +334,10 @@ impl ParameterMap {
         };
         format!(
             "Radiance (linear RGB) leaving each texel toward the unit vector d of the viewer. {formula}. Frame: x right, \
-             y up, z out of the surface. Blend the radiance of neighbouring texels, not their coefficients."
+             y up, z out of the surface. Blend the radiance of neighbouring texels, not their coefficients. {FLAGS}, added up: 1 fewer views than \
+             the model has unknowns, 2 none, 4 a parameter at its bound, 8 not converged, 16 a lobe that the views do not determine, 32 \
+             held above zero. {REASON}: 0 best, 1 a larger model is hardly better, 2 within the tolerance, 3 the texels around, 4 too few \
+             views for another, 5 not worth a larger one."
         )
     }
 }

@@ -148,6 +148,7 @@ fn summarise(fitted: &ParameterMap) {
         ),
         (FitFlags::AT_BOUND, "have a parameter at its bound"),
         (FitFlags::NOT_CONVERGED, "did not converge"),
+        (FitFlags::HELD, "would have had negative radiance somewhere and were held above zero"),
         (
             FitFlags::UNIDENTIFIED,
             "have a highlight that their views do not determine: what lies between the views is a guess there",

@@ -102,7 +102,6 @@ pub struct Smooth {
     pub(super) basis: Basis,
     pub(super) order: usize,
     weighing: Weighing,
-    penalty: f64,
     rule: Rule<f32>,
     /// The penalty's matrix, k x k.
     pub(super) prior: DMatrix<f64>,
@@ -150,17 +149,11 @@ impl Smooth {
             basis,
             order,
             weighing,
-            penalty,
             rule: basis.rule(order).single(),
             prior_single: single(&prior),
             prior,
             positive: Positive::new(basis, order),
         }
-    }
-
-    /// The weight of the smoothness.
-    pub fn penalty(&self) -> f64 {
-        self.penalty
     }
 
     /// [`Smooth::fit_tile`]'s coefficients of one texel without its shortcuts, robust weights and bound; slow, in double
