@@ -7,14 +7,16 @@ use glam::{DVec3, Vec3};
 use crate::Result;
 use crate::chart::{self, Axis, ChartPoint, Drawn, Series};
 use crate::evaluate::{Evaluation, Reference, evaluate};
-use crate::fit::{FitOptions, Model};
+use crate::fit::{FitOptions, Model, candidates};
 use crate::observation::{ObservationMap, TexelObservations};
-use crate::parameter_map::{ParameterMap, fit_surface};
+use crate::parameter_map::{ParameterMap, Selection, fit_surface, select_surface};
 use crate::progress::{Progress, Silent};
 use crate::report::{Picture, Report};
 
-/// One model, fitted and evaluated.
+/// One way of fitting, and what came of it.
 pub struct Compared {
+    /// The model, or `auto` where every texel has its own.
+    pub name: String,
     /// Its coefficients.
     pub map: ParameterMap,
     /// Wall-clock time of the fit on all cores, seconds.
@@ -23,27 +25,31 @@ pub struct Compared {
     pub evaluation: Evaluation,
 }
 
-/// Fits each of `models` without the views `without` and evaluates it on `references`.
+/// Fits without the views `without` each of `names`, models or `auto` for the smallest that suffices for each texel, and evaluates it
+/// on `references`.
 ///
 /// # Errors
-/// Those of [`fit_surface`] and [`evaluate`].
+/// Those of [`Model::parse`], [`fit_surface`], [`select_surface`] and [`evaluate`].
 pub fn compare(
     observations: &ObservationMap,
-    models: &[Model],
+    names: &[&str],
     without: &[u32],
     references: &[Reference],
     progress: &dyn Progress,
 ) -> Result<Vec<Compared>> {
-    let one = |(index, &model): (usize, &Model)| {
-        progress.step(index, models.len())?;
+    let one = |(index, &name): (usize, &&str)| {
+        progress.step(index, names.len())?;
         let start = Instant::now();
-        let map = fit_surface(observations, model, &FitOptions::default(), without, &Silent)?;
+        let map = match name {
+            "auto" => select_surface(observations, &candidates(), &Selection::default(), without, &Silent)?,
+            name => fit_surface(observations, Model::parse(name)?, &FitOptions::default(), without, &Silent)?,
+        };
         let fit_s = start.elapsed().as_secs_f64();
         let evaluation = evaluate(&map, references, &Silent)?;
-        Ok(Compared { map, fit_s, evaluation })
+        Ok(Compared { name: name.to_owned(), map, fit_s, evaluation })
     };
-    let compared = models.iter().enumerate().map(one).collect::<Result<_>>()?;
-    progress.step(models.len(), models.len())?;
+    let compared = names.iter().enumerate().map(one).collect::<Result<_>>()?;
+    progress.step(names.len(), names.len())?;
     Ok(compared)
 }
 
@@ -60,7 +66,7 @@ pub fn describe(report: &mut Report, compared: &[Compared], observations: &Obser
     report.heading("Views that the fit has not seen");
     report.text(format!(
         "Left: photographed. Middle: reconstructed by {}. Right: four times the difference, around grey. All exposed by 1 - exp(-gamma x).",
-        best.map.name()
+        best.name
     ));
     for (comparison, error) in best.evaluation.comparisons.iter().zip(&best.evaluation.views) {
         let pictures = [
@@ -84,7 +90,7 @@ pub fn describe(report: &mut Report, compared: &[Compared], observations: &Obser
     let texels = observations.header().texels.count() as f64;
     let row = |c: &Compared| {
         vec![
-            c.map.name(),
+            c.name.clone(),
             format!("{:.2}", c.evaluation.mean_255()),
             format!("{:.1}", c.evaluation.psnr_db()),
             format!("{:.3}", c.fit_s),
@@ -100,8 +106,8 @@ pub fn describe(report: &mut Report, compared: &[Compared], observations: &Obser
     let error = Axis { label: "mean error on held-out views, of 255", logarithmic: false };
     let points = |x: &dyn Fn(&Compared) -> f64| -> Vec<ChartPoint> {
         let point = |c: &Compared| {
-            let name = c.map.name();
-            ChartPoint { method: name.clone(), x: x(c), y: c.evaluation.mean_255(), label: name }
+            let (method, label) = (c.name.clone(), c.name.clone());
+            ChartPoint { method, x: x(c), y: c.evaluation.mean_255(), label }
         };
         compared.iter().map(point).collect()
     };
@@ -141,7 +147,7 @@ fn chosen_texels(observations: &ObservationMap) -> Result<Vec<((u32, u32), Texel
 }
 
 /// Models drawn beside the measurement.
-const DRAWN: [&str; 4] = ["phong", "phong2", "msh36", "log-quadratic"];
+const DRAWN: [&str; 5] = ["phong", "phong2", "msh36", "log-quadratic", "auto"];
 
 fn profile(column: u32, row: u32, texel: &TexelObservations, compared: &[Compared]) -> Result<String> {
     let green = |i: &usize| texel.radiance[*i][1];
@@ -155,7 +161,7 @@ fn profile(column: u32, row: u32, texel: &TexelObservations, compared: &[Compare
         .map(|(direction, radiance)| (direction.dot(along).atan2(direction.z).to_degrees(), radiance));
     let mut series =
         vec![Series { name: "measured".into(), points: measured.collect(), drawn: Drawn::Marks }];
-    for compared in compared.iter().filter(|c| DRAWN.contains(&c.map.name().as_str())) {
+    for compared in compared.iter().filter(|c| DRAWN.contains(&c.name.as_str())) {
         let value = |degrees: i32| {
             let (sine, cosine) = f64::from(degrees).to_radians().sin_cos();
             let direction: Vec3 = (along * sine + DVec3::Z * cosine).as_vec3();
@@ -164,7 +170,7 @@ fn profile(column: u32, row: u32, texel: &TexelObservations, compared: &[Compare
             (f64::from(degrees), f64::from(radiance[1]))
         };
         series.push(Series {
-            name: compared.map.name(),
+            name: compared.name.clone(),
             points: (-75..=75).map(value).collect(),
             drawn: Drawn::Line,
         });

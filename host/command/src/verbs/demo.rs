@@ -6,7 +6,6 @@ use std::time::Instant;
 
 use rigel::compare::{compare, describe};
 use rigel::evaluate::session_references;
-use rigel::fit::Model;
 use rigel::geometry::Texels;
 use rigel::measure::{ResponseChoice, measure};
 use rigel::observation::{self, observe};
@@ -29,17 +28,19 @@ const HELD_OUT: usize = 6;
 const HELD_OUT_LIMIT_DEG: f64 = 60.0;
 const LONGEST_EXPOSURE_S: f64 = 0.25;
 const TEXELS: Texels = Texels { columns: 128, rows: 96 };
-const MODELS: [&str; 10] = [
+const MODELS: [&str; 12] = [
     "constant",
     "log-quadratic",
     "phong",
     "phong2",
+    "phong3",
     "msh15",
     "msh36",
     "sh16-zero",
     "sh36-zero",
     "sh16-lsop",
     "sh36-lsop",
+    "auto",
 ];
 
 /// `rigel demo`.
@@ -71,12 +72,11 @@ pub fn demo(arguments: &Demo) -> Result<()> {
         observations.header().file_bytes() as f64 / 1e6
     );
 
-    let models: Vec<Model> = MODELS.iter().map(|name| Model::parse(name)).collect::<Result<_>>()?;
     let without: Vec<u32> = held_out.iter().map(|&view| view as u32).collect();
     let references = session_references(&session, &held_out)?;
-    let compared = compare(&observations, &models, &without, &references, &Bar::new("fitting"))?;
+    let compared = compare(&observations, &MODELS, &without, &references, &Bar::new("fitting"))?;
     for one in &compared {
-        let name = one.map.name();
+        let name = &one.name;
         one.map.write(&out.join(format!("{name}.exr")))?;
         say!(
             "{name:>14}: {:5.2} of 255 on held-out views, {:6.2} s to fit",
