@@ -19,6 +19,7 @@ pub mod measure;
 pub mod observation;
 pub mod parameter_map;
 pub mod picture;
+pub mod plan;
 pub mod progress;
 pub mod radiance;
 pub mod render;

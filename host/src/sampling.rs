@@ -13,7 +13,7 @@ use crate::{Error, Result};
 
 mod tour;
 
-pub use tour::{Stop, in_order, tour, tour_time_s};
+pub use tour::{Stop, in_order, is_reachable, tour, tour_time_s};
 
 /// The most views of a sampling: the tour's table of all pairs then takes 3 GB.
 const MOST_VIEWS: usize = 20_000;
