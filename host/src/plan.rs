@@ -11,18 +11,20 @@
 mod doubts;
 
 use std::f64::consts::TAU;
+use std::fmt::Write;
+use std::path::Path;
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::fit::{FitFlags, FitOptions, Fitter, Model, TexelFit};
-use crate::geometry::Surface;
+use crate::geometry::azimuth_zenith;
 use crate::observation::{ObservationMap, TexelObservations};
 use crate::progress::Progress;
 use crate::render::{expose, gamma_for_median};
 use crate::rig::RigLimits;
 use crate::sampling::{is_reachable, spiral};
-use crate::{Error, Result};
+use crate::{Error, Result, file};
 use doubts::{Doubts, Lobe, Lobes, Seen, Surroundings};
 
 /// So far apart are the directions among which a plan chooses, radians: half of what the smallest lobes are wide.
@@ -82,6 +84,22 @@ impl Expected {
 }
 
 impl ViewPlan {
+    /// Writes the directions, in their order, as a table that [`crate::sampling::read_directions`] reads, with the error (of 255) that is
+    /// expected once a line and those above it are photographed.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when it cannot be written.
+    pub fn write_csv(&self, path: &Path) -> Result<()> {
+        let mut text = String::from("azimuth_deg,zenith_deg,expected_error_255\n");
+        for (index, direction) in self.directions.iter().enumerate() {
+            let (azimuth_rad, zenith_rad) = azimuth_zenith(*direction);
+            let error = self.expected.as_ref().map(|expected| 255.0 * expected.error(index + 1));
+            let error = error.map_or(String::new(), |error| format!("{error:.3}"));
+            let _ = writeln!(text, "{:.3},{:.3},{error}", azimuth_rad.to_degrees(), zenith_rad.to_degrees());
+        }
+        file::write_bytes(path, text.as_bytes())
+    }
+
     /// Around which direction the first `views` lie thickest, and how many of them.
     pub fn thickest(&self, views: usize) -> Option<(DVec3, usize)> {
         let ahead = self.expected.iter().flat_map(|expected| &expected.ahead);
@@ -159,7 +177,7 @@ pub fn plan_views(
     let distance_m = middle(views.iter().map(|centre_m| centre_m.length()).collect());
     let doubts = |(index, fit): (usize, &TexelFit)| {
         let (column, row) = places[index];
-        let point = Surface::texel_centre(&surface, size, column, row);
+        let point = surface.texel_centre(size, column, row);
         let toward: Vec<Vec3> =
             open.iter().map(|direction| (*direction * distance_m - point).normalize().as_vec3()).collect();
         let seen = Seen {

@@ -11,8 +11,10 @@ use glam::DVec3;
 use crate::geometry::{azimuth_zenith, unit_vector};
 use crate::{Error, Result};
 
+mod table;
 mod tour;
 
+pub use table::read_directions;
 pub use tour::{Stop, in_order, is_reachable, tour, tour_time_s};
 
 /// The most views of a sampling: the tour's table of all pairs then takes 3 GB.

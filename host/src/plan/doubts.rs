@@ -138,8 +138,7 @@ impl Doubts {
             self.covariance[i * n..][..n].iter().zip(ways).map(|(p, a)| p * f64::from(*a)).sum::<f64>()
         };
         let with: Vec<f64> = (0..n).map(row).collect();
-        let variance =
-            with.iter().zip(ways).map(|(p, a)| p * f64::from(*a)).sum::<f64>() + f64::from(noise);
+        let variance = with.iter().zip(ways).map(|(p, a)| p * f64::from(*a)).sum::<f64>() + f64::from(noise);
         for i in 0..n {
             for j in 0..n {
                 self.covariance[i * n + j] -= with[i] * with[j] / variance;
@@ -225,7 +224,8 @@ impl Lobes {
         }
         let radiance = ANYWHERE_PART * self.diffuse.max(around.floor);
         for hidden in (0..ANYWHERE).filter(|_| !directions.is_empty()) {
-            let direction = directions[(index * 101 + hidden * directions.len() / ANYWHERE) % directions.len()];
+            let direction =
+                directions[(index * 101 + hidden * directions.len() / ANYWHERE) % directions.len()];
             hide(Lobe { radiance, shininess: ANYWHERE_SHININESS, direction });
         }
         others
