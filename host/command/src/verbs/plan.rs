@@ -83,12 +83,13 @@ fn say_expected(plan: &ViewPlan, expected: &Expected, taken: usize) {
     }
     match expected.halving() {
         Some(count) => {
-            let place = plan.thickest(count).map_or(String::new(), |(centre, near)| {
+            let thickest = plan.thickest(count).filter(|(_, near)| *near > 1);
+            let place = thickest.map_or(String::new(), |(centre, near)| {
                 let (azimuth_rad, zenith_rad) = azimuth_zenith(centre);
                 let (azimuth, zenith) = (azimuth_rad.to_degrees().rem_euclid(360.0), zenith_rad.to_degrees());
-                format!(", {near} of them near azimuth {azimuth:.0}, zenith {zenith:.0}")
+                format!(", {near} of them near azimuth {azimuth:.0}, zenith {zenith:.0},")
             });
-            say!("{count} more views{place}, would halve what views can remove");
+            say!("{count} more views{place} would halve what views can remove");
         }
         None => {
             say!("more than {} more views would halve what views can remove", expected.removable.len() - 1);
