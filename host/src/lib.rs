@@ -2,7 +2,7 @@
 //!
 //! Each module is a room on the road that the data takes, and imports only rooms upstream of it:
 //! `geometry` → `rig`, `camera`, `sampling` → `session` → `radiance`, `calibration` → `observation` → `fit`,
-//! `parameter_map` → `render` → `evaluate`, `chart`, `report`.
+//! `parameter_map` → `render` → `evaluate`, `plan`, `chart`, `report`.
 
 mod calendar;
 pub mod calibration;

@@ -84,7 +84,7 @@ impl Doubts {
         (0..count).for_each(|i| covariance[i * count + i] = 1.0);
         let mut doubts =
             Self { count, toward: vec![], noise: vec![], covariance, overlap: vec![0.0; count * count] };
-        for direction in seen.directions {
+        for direction in seen.directions.iter().filter(|direction| direction.is_finite()) {
             let (ways, noise) = toward(*direction);
             doubts.condition(&ways, noise);
         }
@@ -229,5 +229,56 @@ impl Lobes {
             hide(Lobe { radiance, shininess: ANYWHERE_SHININESS, direction });
         }
         others
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A lobe about `axis`, seen from a few directions that do not meet it.
+    fn doubts(axis: Vec3, candidates: &[Vec3]) -> Doubts {
+        let parameters = [0.2, 0.2, 0.2, 2.0, 2.0, 2.0, 40.0, axis.x, axis.y, axis.z];
+        let directions = [Vec3::Z, Vec3::new(-0.6, 0.0, 0.8), Vec3::new(0.0, 0.6, 0.8)];
+        let seen = Seen {
+            parameters: &parameters,
+            flags: FitFlags::default(),
+            residual: 1.0,
+            directions: &directions,
+        };
+        Doubts::new(
+            0,
+            &seen,
+            &Surroundings { gamma: 2.0, relative: 0.03, floor: 0.01, pool: &[] },
+            candidates,
+        )
+    }
+
+    fn candidates() -> Vec<Vec3> {
+        let views = crate::sampling::spiral(200, 1.3).unwrap();
+        views.into_iter().map(|view| view.as_vec3()).collect()
+    }
+
+    #[test]
+    fn a_view_lowers_the_expected_error_by_what_was_foretold() {
+        let candidates = candidates();
+        for candidate in [0, 57, 120, 199] {
+            let mut doubts = doubts(Vec3::new(0.6, 0.0, 0.8), &candidates);
+            let mut falls = vec![0.0; candidates.len()];
+            doubts.add_falls(&mut falls);
+            let before = doubts.expected();
+            doubts.see(candidate);
+            let fall = before - doubts.expected();
+            assert!(fall >= 0.0 && (fall - falls[candidate]).abs() <= 1e-9 * before, "{fall} {falls:?}");
+        }
+    }
+
+    #[test]
+    fn the_most_telling_view_lies_on_the_lobe() {
+        let (axis, candidates) = (Vec3::new(0.6, 0.0, 0.8), candidates());
+        let mut falls = vec![0.0; candidates.len()];
+        doubts(axis, &candidates).add_falls(&mut falls);
+        let best = (0..falls.len()).max_by(|&a, &b| falls[a].total_cmp(&falls[b])).unwrap();
+        assert!(candidates[best].angle_between(axis) < 0.3, "{}", candidates[best]);
     }
 }

@@ -27,7 +27,7 @@ pub fn plan(arguments: &Plan) -> Result<()> {
     match &plan.expected {
         None => {
             say!(
-                "warning: {taken} views are too few to fit a lobe, so nothing is known of the error: these fill the largest gaps"
+                "warning: no lobe can be fitted to what {taken} views measured, so nothing is known of the error: these fill the largest gaps"
             );
         }
         Some(expected) => {
