@@ -132,7 +132,7 @@ impl World {
                 }
             }
         }
-        Off { mean: 255.0 * mean / count, rms: 255.0 * (squares / count as f64).sqrt() }
+        Off { mean: 255.0 * mean / count, rms: 255.0 * (squares / count).sqrt() }
     }
 }
 
