@@ -1,11 +1,14 @@
 //! A capture session: the rig goes from view to view, the camera brackets each until no pixel is saturated, or takes the
 //! photographs that a wished precision needs.
 
+use glam::DVec3;
+
 use crate::camera::{Camera, Shot};
+use crate::geometry::Pose;
 use crate::picture::Picture;
 use crate::progress::{Progress, Silent};
-use crate::rig::Rig;
-use crate::sampling::Stop;
+use crate::rig::{Rig, RigLimits};
+use crate::sampling::{Stop, tour};
 use crate::session::{
     self, Content, Event, Exposed, Manifest, Photograph, Place, Run, Session, View, stem_of,
 };
@@ -20,6 +23,8 @@ pub use tracker::{Line as TrackerLine, TRACKER_FILE, TrackerLog};
 
 /// How often a view is photographed by a rig that does not stand still meanwhile.
 const ATTEMPTS: usize = 3;
+/// Directions that differ less than this are one view: a hundred times what a table rounds.
+const SAME_VIEW_RAD: f64 = 1e-3;
 
 /// What a capture will take.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -45,6 +50,29 @@ pub fn add_views(manifest: &mut Manifest, stops: &[Stop]) {
             pose: None,
         });
     }
+}
+
+/// A manifest with more views, in the order of a short tour. Those that it has already are not added again: whoever was interrupted may
+/// ask twice.
+///
+/// # Errors
+/// [`Error::Request`] when the manifest is not that of a capture, or the rig cannot show a direction.
+pub fn with_views(manifest: &Manifest, directions: &[DVec3], limits: &RigLimits) -> Result<Manifest> {
+    if manifest.longest_exposure_s.is_none() {
+        return Err(Error::request(
+            "views can only be added to a session that a rig captures",
+            "start one with `rigel capture` and import nothing into it",
+        ));
+    }
+    let views = 0..manifest.views.len();
+    let planned: Vec<[f64; 2]> = views.map(|view| target(manifest, view)).collect::<Result<_>>()?;
+    let planned: Vec<DVec3> =
+        planned.iter().map(|[pan, tilt]| Pose::from_rig(*pan, *tilt, 1.0).centre_m).collect();
+    let is_new = |direction: &&DVec3| planned.iter().all(|other| other.distance(**direction) > SAME_VIEW_RAD);
+    let new: Vec<DVec3> = directions.iter().filter(is_new).copied().collect();
+    let mut extended = manifest.clone();
+    add_views(&mut extended, &tour(&new, limits)?);
+    Ok(extended)
 }
 
 /// The times of a bracket: the manifest's longest time, halved as often as the camera can follow.

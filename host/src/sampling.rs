@@ -11,9 +11,11 @@ use glam::DVec3;
 use crate::geometry::{azimuth_zenith, unit_vector};
 use crate::{Error, Result};
 
+mod table;
 mod tour;
 
-pub use tour::{Stop, in_order, tour, tour_time_s};
+pub use table::read_directions;
+pub use tour::{Stop, in_order, is_reachable, tour, tour_time_s};
 
 /// The most views of a sampling: the tour's table of all pairs then takes 3 GB.
 const MOST_VIEWS: usize = 20_000;

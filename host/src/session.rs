@@ -91,6 +91,17 @@ impl Session {
         self.clear_taking()
     }
 
+    /// Replaces the plan, such as by one with more views.
+    ///
+    /// # Errors
+    /// Those of [`Session::lock`]; [`Error::Io`] when it cannot be written: then the session is as it was.
+    pub fn replan(&mut self, manifest: Manifest) -> Result<()> {
+        self.lock()?;
+        manifest.write(&self.folder.join("session.toml"))?;
+        self.manifest = manifest;
+        Ok(())
+    }
+
     /// Removes what was written half.
     fn clear_taking(&self) -> Result<()> {
         let taking = self.folder.join(TAKING);

@@ -41,6 +41,8 @@ pub enum Verb {
     Observe(Observe),
     /// Fit a model to every texel: an observation map makes a parameter map
     Fit(Fit),
+    /// Choose the next views: after a coarse pass, the directions where the expected error falls most, ready for `capture --directions`
+    Plan(Plan),
     /// See a parameter map from a camera: OpenEXR or PNG
     Render(Render),
     /// Compare a parameter map with views that it has not seen: a table, CSV and difference pictures
@@ -89,6 +91,10 @@ pub struct Capture {
     /// Largest zenith angle, degrees
     #[arg(long = "zenith-limit", value_name = "DEGREES", default_value_t = 75.0)]
     pub zenith_limit_deg: f64,
+    /// Directions from a table with the columns azimuth_deg,zenith_deg, such as `rigel plan` writes; with --resume they are added to
+    /// the session
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["sampling", "views", "zenith_limit_deg", "seed"])]
+    pub directions: Option<PathBuf>,
     /// Seed of the stratified sampling
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
@@ -353,6 +359,27 @@ pub struct Fit {
     #[arg(long, value_delimiter = ',')]
     pub without: Vec<String>,
     /// The parameter map [default: the model's name beside the observation map]
+    #[arg(long)]
+    pub out: Option<PathBuf>,
+}
+
+#[derive(Args)]
+pub struct Plan {
+    /// The observation map of what was photographed so far
+    pub observations: PathBuf,
+    /// How many views at most
+    #[arg(long, default_value_t = 12)]
+    pub views: usize,
+    /// No more views than bring the expected error to this part of white, such as 1%
+    #[arg(long, value_name = "PERCENT", value_parser = parse_part)]
+    pub tolerance: Option<f64>,
+    /// Largest zenith angle, degrees
+    #[arg(long = "zenith-limit", value_name = "DEGREES", default_value_t = 75.0)]
+    pub zenith_limit_deg: f64,
+    /// Only directions that this rig shows: `simulated`, or its serial port, such as /dev/ttyACM0; nothing moves
+    #[arg(long)]
+    pub rig: Option<String>,
+    /// The table of directions [default: next.csv beside the observation map]
     #[arg(long)]
     pub out: Option<PathBuf>,
 }

@@ -30,6 +30,7 @@ fn main() -> ExitCode {
         Verb::Register(arguments) => verbs::register(&arguments),
         Verb::Observe(arguments) => verbs::observe(&arguments),
         Verb::Fit(arguments) => verbs::fit(&arguments),
+        Verb::Plan(arguments) => verbs::plan(&arguments),
         Verb::Render(arguments) => verbs::render(&arguments),
         Verb::Evaluate(arguments) => verbs::evaluate(&arguments),
         Verb::Chart(arguments) => verbs::chart(&arguments),

@@ -7,6 +7,7 @@ mod chart;
 mod demo;
 mod fit;
 mod import;
+mod plan;
 mod register;
 
 pub use bench::{devices, rig, tracker};
@@ -16,6 +17,7 @@ pub use chart::chart;
 pub use demo::demo;
 pub use fit::{evaluate, fit, render};
 pub use import::{import, observe, radiance};
+pub use plan::plan;
 pub use register::register;
 
 use std::path::Path;

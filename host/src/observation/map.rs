@@ -192,13 +192,21 @@ impl ObservationMap {
     /// # Errors
     /// [`Error::Io`] when the file cannot be mapped.
     pub fn sample(&self, without: &[u32]) -> Result<Vec<TexelObservations>> {
+        Ok(self.spread(SAMPLED_TEXELS)?.into_iter().map(|(_, texel)| texel.without(without)).collect())
+    }
+
+    /// About `count` texels spread over the whole surface, or all where there are fewer: (column, row) with their observations.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the file cannot be mapped.
+    pub fn spread(&self, count: usize) -> Result<Vec<((u32, u32), TexelObservations)>> {
         let tiles = self.header.tiles().count();
         let looked_at = tiles.min(SAMPLED_TILES);
         let mut sample = vec![];
         for i in 0..looked_at {
             let tile = self.tile(i * tiles / looked_at)?;
-            let step = (tile.len() * looked_at / SAMPLED_TEXELS).max(1);
-            sample.extend(tile.iter().step_by(step).map(|(_, texel)| texel.without(without)));
+            let step = (tile.len() * looked_at / count.max(1)).max(1);
+            sample.extend(tile.into_iter().step_by(step));
         }
         Ok(sample)
     }

@@ -61,31 +61,37 @@ pub fn tour_time_s(stops: &[Stop], limits: &RigLimits) -> f64 {
     before.zip(places).map(|(from, to)| limits.travel_time_s(from, to)).sum()
 }
 
+/// The pairs of pan and tilt within the limits that show a view.
+fn choices(view: DVec3, limits: &RigLimits) -> Vec<[f64; 2]> {
+    let (pan_rad, tilt_rad) = pan_tilt(view);
+    let mut found = Vec::new();
+    for (pan_rad, tilt_rad) in [(pan_rad, tilt_rad), (pan_rad + PI, -tilt_rad)] {
+        let first = ((limits.pan_rad[0] - pan_rad) / TAU).floor() as i64;
+        let last = ((limits.pan_rad[1] - pan_rad) / TAU).ceil() as i64;
+        found.extend((first..=last).map(|turn| [pan_rad + turn as f64 * TAU, tilt_rad]));
+    }
+    found.retain(|&[pan_rad, tilt_rad]| limits.contains(pan_rad, tilt_rad));
+    found
+}
+
+/// Whether the rig can show a view.
+pub fn is_reachable(view: DVec3, limits: &RigLimits) -> bool {
+    !choices(view, limits).is_empty()
+}
+
 fn all_choices(views: &[DVec3], limits: &RigLimits) -> Result<Vec<Vec<[f64; 2]>>> {
-    let reachable = |(number, view): (usize, &DVec3)| {
-        let (pan_rad, tilt_rad) = pan_tilt(*view);
-        let mut found = Vec::new();
-        for (pan_rad, tilt_rad) in [(pan_rad, tilt_rad), (pan_rad + PI, -tilt_rad)] {
-            let first = ((limits.pan_rad[0] - pan_rad) / TAU).floor() as i64;
-            let last = ((limits.pan_rad[1] - pan_rad) / TAU).ceil() as i64;
-            found.extend((first..=last).map(|turn| [pan_rad + turn as f64 * TAU, tilt_rad]));
-        }
-        found.retain(|&[pan_rad, tilt_rad]| limits.contains(pan_rad, tilt_rad));
+    let (mut all, mut beyond) = (vec![], vec![]);
+    for (number, view) in views.iter().enumerate() {
+        let found = choices(*view, limits);
         if found.is_empty() {
+            let (pan_rad, tilt_rad) = pan_tilt(*view);
             let (pan, tilt) = (pan_rad.to_degrees(), tilt_rad.to_degrees());
-            return Err(format!("view {number} (pan {pan:.2}°, tilt {tilt:.2}°)"));
+            beyond.push(format!("view {number} (pan {pan:.2}°, tilt {tilt:.2}°)"));
         }
-        Ok(found)
-    };
-    let (mut choices, mut beyond) = (vec![], vec![]);
-    for view in views.iter().enumerate() {
-        match reachable(view) {
-            Ok(found) => choices.push(found),
-            Err(view) => beyond.push(view),
-        }
+        all.push(found);
     }
     if beyond.is_empty() {
-        return Ok(choices);
+        return Ok(all);
     }
     Err(Error::request(
         format!("the rig cannot show {}", beyond.join(", ")),

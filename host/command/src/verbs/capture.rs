@@ -6,7 +6,9 @@ use glam::DVec3;
 use rigel::capture::{self, Plan, TrackerLog, add_views, plan};
 use rigel::progress::Progress;
 use rigel::radiance::Response;
-use rigel::sampling::{Stop, icosphere_near, latitude_longitude_near, spiral, stratified, tour};
+use rigel::sampling::{
+    Stop, icosphere_near, latitude_longitude_near, read_directions, spiral, stratified, tour,
+};
 use rigel::session::{self, Manifest, Precision, Session};
 use rigel::{Error, Result};
 use rigel_simulated::rig::rehearse as rehearsed;
@@ -22,13 +24,23 @@ const MOST_TOLD: usize = 5;
 /// `rigel capture`.
 pub fn capture(arguments: &Capture) -> Result<()> {
     // First of all: whoever may not write into the session need not bother the rig.
-    let begun = if arguments.resume { Some(begun(arguments)?) } else { None };
+    let mut begun = if arguments.resume { Some(begun(arguments)?) } else { None };
     let mut devices = Devices::open(
         &arguments.rig,
         &arguments.camera,
         begun.as_ref(),
         With { tracker: arguments.tracker && !arguments.dry_run, flash_sync: arguments.flash_sync },
     )?;
+    if let (Some(session), Some(table)) = (&mut begun, &arguments.directions) {
+        let before = session.manifest.views.len();
+        let more = capture::with_views(&session.manifest, &read_directions(table)?, &devices.rig.limits())?;
+        say!("{} views more", more.views.len() - before);
+        if arguments.dry_run {
+            session.manifest = more;
+        } else {
+            session.replan(more)?;
+        }
+    }
     let (manifest, done) = match &begun {
         Some(session) => (session.manifest.clone(), session.done_views()),
         None => {
@@ -181,6 +193,9 @@ fn begun(arguments: &Capture) -> Result<Session> {
 }
 
 fn directions(arguments: &Capture) -> Result<Vec<DVec3>> {
+    if let Some(table) = &arguments.directions {
+        return read_directions(table);
+    }
     let (count, limit_rad) = (arguments.views, arguments.zenith_limit_deg.to_radians());
     match arguments.sampling {
         SamplingChoice::Spiral => spiral(count, limit_rad),

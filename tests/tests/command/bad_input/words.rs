@@ -85,3 +85,66 @@ fn words_that_mean_nothing() {
         },
     ]);
 }
+
+#[test]
+fn plans_that_cannot_be_made() {
+    const PLAN: [&str; 2] = ["plan", "session/observations.rigel"];
+    hold(&[
+        Case { spoil: nothing, arguments: &["plan", "none.rigel"], names: &["none.rigel", "check the path"] },
+        Case {
+            spoil: nothing,
+            arguments: &["plan", "phong.exr"],
+            names: &["phong.exr", "not an observation map", "rigel observe"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &[PLAN[0], PLAN[1], "--views", "0"],
+            names: &["no views", "at least one"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &[PLAN[0], PLAN[1], "--views", "5000"],
+            names: &["5000 views", "within reach", "ask for at most"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &[PLAN[0], PLAN[1], "--zenith-limit", "95"],
+            names: &["95", "up to 90"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &[PLAN[0], PLAN[1], "--out", "session/session.toml"],
+            names: &["session.toml", ".csv"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &[PLAN[0], PLAN[1], "--rig", "/dev/no-such-port"],
+            names: &["/dev/no-such-port", "cannot open the port"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["capture", "new", "--directions", "none.csv"],
+            names: &["none.csv", "check the path"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["capture", "new", "--directions", "views.csv"],
+            names: &["views.csv", "azimuth_deg"],
+        },
+        Case {
+            spoil: |folder| fs::write(folder.join("next.csv"), "azimuth_deg,zenith_deg\n10,120\n").unwrap(),
+            arguments: &["capture", "new", "--directions", "next.csv"],
+            names: &["next.csv", "line 2", "120", "0 to 90"],
+        },
+        Case {
+            spoil: |folder| fs::write(folder.join("next.csv"), "azimuth_deg,zenith_deg\n10,20\n").unwrap(),
+            arguments: &["capture", "session", "--resume", "--directions", "next.csv"],
+            names: &["only be added to a session that a rig captures", "rigel capture"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["capture", "new", "--directions", "next.csv", "--views", "9"],
+            names: &["--directions", "--views"],
+        },
+    ]);
+}
