@@ -148,8 +148,11 @@ impl Planner {
         let needed = self.halvings_needed(&seen);
         let most = match clipped {
             true => self.halvings_s.len(),
-            // A view that began with a time that is too short has one photograph that halving would not have.
-            false => needed + usize::from(taken[0].asked_s < 0.75 * self.halvings_s[needed - 1]),
+            // A view that did not begin with the longest time may have one that halving would not have come to.
+            false if taken[0].asked_s < 0.999 * longest_s => {
+                needed + usize::from(darkest_s < 0.75 * self.halvings_s[needed - 1])
+            }
+            false => needed,
         };
         let halvings: Vec<usize> =
             self.halvings_s.iter().take(most).map(|&time_s| bins_below(time_s, longest_s)).collect();
