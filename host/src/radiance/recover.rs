@@ -169,12 +169,15 @@ type Curve = (Vec<f32>, DMatrix<f64>);
 
 /// A group's rows, linear in g, with its ln radiance eliminated: sum of p(k) g(k) = target.
 struct Equations {
-    /// Weight, p at its knots, and target less the mean target.
-    rows: Vec<(f64, Vec<(usize, f64)>, f64)>,
+    /// Weight, p, and target less the mean target.
+    rows: Vec<(f64, Knots, f64)>,
     /// The weighted sum of the rows' p, and of the weights.
-    sum: Vec<(usize, f64)>,
+    sum: Knots,
     total: f64,
 }
+
+/// Values at some of the knots, in their order.
+type Knots = Vec<(usize, f64)>;
 
 impl Equations {
     fn new(group: &Group, g: &DVector<f64>) -> Self {

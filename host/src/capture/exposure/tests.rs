@@ -125,8 +125,8 @@ fn what_halving_reaches_never_takes_more_and_mostly_less() {
 /// The shortest photograph of a view nearby that is so many stops brighter.
 fn nearby(scene: &[f64], stops: f64) -> Glimpse {
     let other: Vec<f64> = scene.iter().map(|radiance| radiance * stops.exp2()).collect();
-    let shots = halvings().into_iter().map(|time_s| (photograph(&other, time_s), time_s));
-    let last = shots.clone().find(|(picture, _)| !is_saturated(picture)).or(shots.last());
+    let mut shots = halvings().into_iter().map(|time_s| (photograph(&other, time_s), time_s));
+    let last = shots.clone().find(|(picture, _)| !is_saturated(picture)).or(shots.next_back());
     last.map(|(picture, time_s)| Glimpse::new(&picture, time_s, time_s)).unwrap()
 }
 
@@ -154,7 +154,8 @@ fn a_view_that_begins_like_its_neighbour_takes_fewer_and_reaches_the_same() {
                     let truly = Search::new(&planner.curves, &planner.look(&all), 0.99).error(&bins);
                     assert!(truly < 1.1 * 0.015, "{context}: {truly}");
                 }
-                _ => assert!(!matches!(end, Next::Enough(_)), "{context}"),
+                // What begins quite differently may spend what halving takes on finding out, and then says so.
+                _ => assert!(stops.abs() > 0.5 || !matches!(end, Next::Enough(_)), "{context}"),
             }
             let too_short = begun.iter().any(|&time_s| time_s < 0.75 * halvings()[halved - 1]);
             assert!(begun.len() <= halved + usize::from(too_short), "{context}");
