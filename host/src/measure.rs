@@ -137,6 +137,7 @@ pub fn measure_with(session: &Session, options: &Options, progress: &dyn Progres
     };
     progress.step(looked_at, total)?;
     let vignetting = vignetting(session, &response, &noise)?;
+    let gains = vignetting.as_ref().map(Vignetting::gains);
     progress.step(looked_at, total)?;
 
     let folder = gather_in(
@@ -171,8 +172,8 @@ pub fn measure_with(session: &Session, options: &Options, progress: &dyn Progres
                     corrected.lock().unwrap_or_else(PoisonError::into_inner).extend(doubtful);
                 }
                 let mut image = merge(&stack, &response, &noise)?;
-                if let Some(vignetting) = &vignetting {
-                    vignetting.correct(&mut image)?;
+                if let (Some(vignetting), Some(gains)) = (&vignetting, &gains) {
+                    vignetting.correct_by(gains, &mut image)?;
                 }
                 let count = |flag| image.mask.iter().filter(|&&mask| mask & flag != 0).count();
                 saturated.fetch_add(count(RadianceImage::SATURATED), Ordering::Relaxed);
@@ -293,7 +294,7 @@ fn vignetting(session: &Session, response: &Response, noise: &NoiseModel) -> Res
     if flats.is_empty() {
         return Ok(None);
     }
-    let pictures: Vec<Picture> = flats.iter().map(Picture::read).collect::<Result<_>>()?;
+    let pictures: Vec<Picture> = flats.par_iter().map(Picture::read).collect::<Result<_>>()?;
     Vignetting::fit(&pictures, response, noise).map(Some)
 }
 

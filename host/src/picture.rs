@@ -58,15 +58,15 @@ impl Picture {
         let (width, height) = (decoded.width(), decoded.height());
         let (levels, white) = match decoded {
             DynamicImage::ImageRgb32F(_) | DynamicImage::ImageRgba32F(_) => {
-                (decoded.to_rgb32f().pixels().map(|p| p.0.map(half_level)).collect(), Self::FLOAT_WHITE)
+                (decoded.into_rgb32f().pixels().map(|p| p.0.map(half_level)).collect(), Self::FLOAT_WHITE)
             }
             DynamicImage::ImageLuma8(_)
             | DynamicImage::ImageLumaA8(_)
             | DynamicImage::ImageRgb8(_)
             | DynamicImage::ImageRgba8(_) => {
-                (decoded.to_rgb8().pixels().map(|p| p.0.map(u16::from)).collect(), 255)
+                (decoded.into_rgb8().pixels().map(|p| p.0.map(u16::from)).collect(), 255)
             }
-            _ => (decoded.to_rgb16().pixels().map(|p| p.0).collect(), u16::MAX),
+            _ => (decoded.into_rgb16().pixels().map(|p| p.0).collect(), u16::MAX),
         };
         Ok(Self { path: path.into(), width, height, levels, white })
     }

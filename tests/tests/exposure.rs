@@ -22,6 +22,9 @@ use rigel_simulated::scene::Scene;
 /// The share of the values that is looked at.
 const SHARE: f64 = 0.99;
 
+/// How many views a session has.
+const VIEWS: usize = 12;
+
 /// What `rigel capture` begins with.
 const LONGEST_S: f64 = 1.0;
 
@@ -100,7 +103,7 @@ fn photograph(
         precision,
         ..Manifest::new("simulated")
     };
-    add_views(&mut manifest, &tour(&icosphere(2, 0.5).unwrap(), &rig.limits()).unwrap());
+    add_views(&mut manifest, &tour(&icosphere(2, 0.6).unwrap(), &rig.limits()).unwrap()[..VIEWS]);
     let mut session = Session::create(folder, manifest).unwrap();
     let mut starts = 0;
     let doubts = loop {
@@ -173,10 +176,10 @@ fn a_stated_error_is_reached_with_fewer_photographs() {
             );
         }
         assert!(planned.photographs * 10 <= halved.photographs * 6, "{}", planned.photographs);
-        // What halving itself reaches takes most of its photographs: light is what makes a measurement precise.
-        assert!(
-            equal.photographs <= halved.photographs && equal.errors()[0] <= 1.02 * reached.relative_error
-        );
+        // Also where as much is wished for as halving itself reaches.
+        assert!(equal.photographs * 10 <= halved.photographs * 6, "{}", equal.photographs);
+        let ([told, truly], [_, halved_truly]) = (equal.errors(), halved.errors());
+        assert!(told <= 1.02 * reached.relative_error && truly <= 1.1 * halved_truly, "{told} {truly}");
     }
 }
 

@@ -84,6 +84,17 @@ impl Vignetting {
     /// # Errors
     /// [`Error::Request`] where the view has another size than the flat fields.
     pub fn correct(&self, image: &mut RadianceImage) -> Result<()> {
+        self.correct_by(&self.gains(), image)
+    }
+
+    /// What each pixel is multiplied by.
+    pub(crate) fn gains(&self) -> Vec<f32> {
+        let pixels = (0..self.height).flat_map(|y| (0..self.width).map(move |x| (x, y)));
+        pixels.map(|(x, y)| 1.0 / self.at(x.into(), y.into()) as f32).collect()
+    }
+
+    /// [`Vignetting::correct`] by gains that were found before.
+    pub(crate) fn correct_by(&self, gains: &[f32], image: &mut RadianceImage) -> Result<()> {
         if (self.width, self.height) != (image.width, image.height) {
             return Err(Error::request(
                 format!(
@@ -93,9 +104,7 @@ impl Vignetting {
                 "photograph flat fields at the size of the views",
             ));
         }
-        let width = self.width as usize;
-        for (i, (radiance, variance)) in image.radiance.iter_mut().zip(&mut image.variance).enumerate() {
-            let gain = 1.0 / self.at((i % width) as f64, (i / width) as f64) as f32;
+        for ((radiance, variance), gain) in image.radiance.iter_mut().zip(&mut image.variance).zip(gains) {
             radiance.iter_mut().for_each(|r| *r *= gain);
             variance.iter_mut().for_each(|v| *v *= gain * gain);
         }

@@ -29,6 +29,8 @@ const STEP: usize = 4;
 const SCOUT_ERROR: f64 = 2.0;
 /// So many stops at most are taken in one step.
 const LONGEST_STEP: i32 = 8;
+/// How much brighter the brightest pixel of a view may be than that of the view nearby without being saturated.
+const ALIKE: f64 = 1.2;
 /// So many pixels, spread over the picture, stand for all.
 const MOST_PIXELS: usize = 1 << 17;
 
@@ -67,6 +69,8 @@ pub struct Glimpse {
     asked_s: f64,
     exposure_s: f64,
     saturated: bool,
+    /// The highest level of each channel.
+    brightest: [u16; 3],
     /// Of pixels that are spread over the picture, the same in every picture of this size.
     levels: Vec<[u16; 3]>,
 }
@@ -76,7 +80,8 @@ impl Glimpse {
     pub fn new(picture: &Picture, asked_s: f64, exposure_s: f64) -> Self {
         let step = picture.levels.len().div_ceil(MOST_PIXELS).max(1);
         let levels = picture.levels.iter().step_by(step).copied().collect();
-        Self { asked_s, exposure_s, saturated: is_saturated(picture), levels }
+        let brightest = [0, 1, 2].map(|c| picture.levels.iter().map(|level| level[c]).max().unwrap_or(0));
+        Self { asked_s, exposure_s, saturated: is_saturated(picture), brightest, levels }
     }
 }
 
@@ -86,6 +91,8 @@ struct Seen {
     counts: [Vec<u32>; 3],
     /// Values brighter than the shortest photograph shows.
     clipped: u32,
+    /// Values darker than the longest photograph shows, where there is a longer time. They count as bright as they can be.
+    dark: u32,
     /// The largest exposure at the longest time.
     brightest: f64,
 }
@@ -109,6 +116,19 @@ impl Planner {
         Err(Error::input(&picture.path, what, "give the response of this camera or none"))
     }
 
+    /// The time with which a view begins, one of those of halving, given the shortest photograph of a view nearby: the longest
+    /// that would saturate nothing there. It shows how bright all else is, and nothing is wasted on times that are too long.
+    pub fn first(&self, nearby: &Glimpse) -> f64 {
+        let white = usize::from(self.response.white());
+        let room = (0..3).map(|channel| {
+            let table = self.response.exposure(channel);
+            f64::from(table[white - white / 50] / table[usize::from(nearby.brightest[channel]).min(white)])
+        });
+        let room = if nearby.saturated { 0.0 } else { room.fold(f64::INFINITY, f64::min) / ALIKE };
+        let fitting = self.halvings_s.iter().find(|&&time_s| time_s <= room * nearby.exposure_s);
+        fitting.or(self.halvings_s.last()).copied().unwrap_or(nearby.exposure_s)
+    }
+
     /// What a view needs of which these photographs were taken.
     pub fn next(&self, taken: &[Glimpse]) -> Next {
         let (Some(&longest_s), Some(&shortest_s)) = (self.halvings_s.first(), self.halvings_s.last()) else {
@@ -125,10 +145,22 @@ impl Planner {
         let Precision { relative_error: goal, share } = self.precision;
         let bins: Vec<usize> =
             taken.iter().map(|glimpse| bins_below(glimpse.exposure_s, longest_s)).collect();
-        let most = if clipped { self.halvings_s.len() } else { self.halvings_needed(&seen) };
+        let needed = self.halvings_needed(&seen);
+        let most = match clipped {
+            true => self.halvings_s.len(),
+            // A view that did not begin with the longest time may have one that halving would not have come to.
+            false if taken[0].asked_s < 0.999 * longest_s => {
+                needed + usize::from(darkest_s < 0.75 * self.halvings_s[needed - 1])
+            }
+            false => needed,
+        };
         let halvings: Vec<usize> =
             self.halvings_s.iter().take(most).map(|&time_s| bins_below(time_s, longest_s)).collect();
         let mut search = Search::new(&self.curves, &seen, share);
+        if f64::from(seen.dark) > search.excused {
+            // Whether they are part of the share, only the longest time tells.
+            return Next::Expose(longest_s);
+        }
         let attainable = search.share_of(&halvings, goal);
         let possible = attainable >= share && !clipped;
         if attainable < share && attainable > share / 2.0 {
@@ -177,7 +209,9 @@ impl Planner {
 
     fn look(&self, taken: &[Glimpse]) -> Seen {
         let longest_s = self.halvings_s[0];
-        let mut seen = Seen { counts: [0; 3].map(|_| vec![0; BINS]), clipped: 0, brightest: 0.0 };
+        let above = BINS_PER_STOP.recip().exp2();
+        let longest_taken = taken.iter().any(|glimpse| glimpse.asked_s > 0.999 * longest_s);
+        let mut seen = Seen { counts: [0; 3].map(|_| vec![0; BINS]), clipped: 0, dark: 0, brightest: 0.0 };
         let pixels = taken.iter().map(|glimpse| glimpse.levels.len()).min().unwrap_or(0);
         for pixel in 0..pixels {
             for channel in 0..3 {
@@ -204,11 +238,13 @@ impl Planner {
                 } else if high == f64::MAX {
                     seen.clipped += 1;
                     continue;
-                } else if low == 0.0 {
+                } else if low == 0.0 && longest_taken {
                     // The longest time does not show it, and no other will.
                     continue;
                 } else {
-                    low.max(high)
+                    seen.dark += u32::from(low == 0.0);
+                    // Between the two, and not where the longer photograph measures.
+                    if low == 0.0 { high } else { (low * high).sqrt().max(low * above) }
                 };
                 seen.brightest = seen.brightest.max(exposure);
                 seen.counts[channel][bin(exposure)] += 1;

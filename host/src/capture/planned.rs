@@ -2,11 +2,15 @@
 
 use std::path::PathBuf;
 
+use glam::DVec3;
+
 use super::exposure::{Glimpse, Next, Planner};
-use super::{kept, recorded, stem, take};
+use super::{kept, recorded, stem, take, target};
 use crate::camera::Camera;
+use crate::geometry::Pose;
+use crate::picture::Picture;
 use crate::radiance::{NoiseModel, Response, Samples, Stack};
-use crate::session::{Place, Session};
+use crate::session::{Event, Place, Session};
 use crate::{Error, Result};
 
 /// The camera's response in the session's folder, where it was known before.
@@ -73,6 +77,7 @@ pub(super) fn photograph_view(
     interrupted: &dyn Fn() -> Result<()>,
 ) -> Result<Outcome> {
     let mut taken = Vec::new();
+    let mut begin = begin(session, view, planner)?;
     loop {
         interrupted()?;
         let stem = stem(session, view, taken.len());
@@ -81,7 +86,7 @@ pub(super) fn photograph_view(
         }
         let picture = match kept(session, view, &stem)? {
             Some(picture) => picture,
-            None => match planner.next(&taken) {
+            None => match begin.take().map_or_else(|| planner.next(&taken), Next::Expose) {
                 Next::Expose(time_s) => match take(session, view, &stem, place, camera, time_s)? {
                     Some(picture) => picture,
                     None => return Ok(Outcome::Unseen),
@@ -99,6 +104,33 @@ pub(super) fn photograph_view(
         let exposure_s = photograph.exposure_s.unwrap_or(1.0);
         taken.push(Glimpse::new(&picture, photograph.asked_exposure_s.unwrap_or(exposure_s), exposure_s));
     }
+}
+
+/// The time with which a view begins that has no photograph yet, by the shortest one of the nearest view that is done; `None`
+/// where there is none, or where the camera keeps its photographs: then every view has its whole bracket from the longest on.
+fn begin(session: &Session, view: usize, planner: &Planner) -> Result<Option<f64>> {
+    let is_kept = |event: &Event| matches!(event, Event::Exposed(_));
+    if !session.photographs(view).is_empty() || session.events().iter().any(is_kept) {
+        return Ok(None);
+    }
+    let towards = |view| {
+        let [pan_rad, tilt_rad] = target(&session.manifest, view)?;
+        Ok::<_, Error>(Pose::from_rig(pan_rad, tilt_rad, 1.0).direction_to_surface(DVec3::Z))
+    };
+    let here = towards(view)?;
+    let mut nearest: Option<(f64, usize)> = None;
+    for other in session.done_views() {
+        let near = towards(other)?.dot(here);
+        if nearest.is_none_or(|(nearer, _)| near > nearer) {
+            nearest = Some((near, other));
+        }
+    }
+    let photographs = nearest.map_or(vec![], |(_, other)| session.photographs(other));
+    let timed = photographs.into_iter().filter_map(|photograph| Some((photograph.exposure_s?, photograph)));
+    let Some((exposure_s, shortest)) = timed.min_by(|a, b| a.0.total_cmp(&b.0)) else { return Ok(None) };
+    let picture = Picture::read(session.photograph_path(shortest))?;
+    planner.check(&picture)?;
+    Ok(Some(planner.first(&Glimpse::new(&picture, exposure_s, exposure_s))))
 }
 
 /// How a view went.

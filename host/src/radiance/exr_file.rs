@@ -15,13 +15,16 @@ const KIND: &str = "rigelRadiance";
 const VERSION: i32 = 1;
 const COLOURS: [&str; 3] = ["R", "G", "B"];
 const VARIANCES: [&str; 3] = ["variance.R", "variance.G", "variance.B"];
-/// Noise hardly compresses: ZIP saves a third of the bytes for ten times the work, more than all else that a view costs.
-/// Run lengths take the mask, the exponents and what is even; lines in order, so that a file's bytes are always the same.
-const ENCODING: Encoding =
-    Encoding { compression: Compression::RLE, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing };
+/// Noise hardly compresses: ZIP saves a third of the bytes for more work than all else that a view costs, run lengths a
+/// seventh, the mask, for a sixth of it. Lines in order, so that a file's bytes are always the same.
+const ENCODING: Encoding = Encoding {
+    compression: Compression::Uncompressed,
+    blocks: Blocks::ScanLines,
+    line_order: LineOrder::Increasing,
+};
 
 impl RadianceImage {
-    /// Writes the view as OpenEXR: 32-bit floats, the mask as unsigned integers, run-length-encoded without loss.
+    /// Writes the view as OpenEXR: 32-bit floats, the mask as unsigned integers, uncompressed.
     /// `response` names the response that fixed the unit (a file name, or "srgb"); it is kept as an attribute.
     ///
     /// # Errors

@@ -1,5 +1,7 @@
 //! How much the exposure that a level stands for varies: shot noise, read noise, and the noise of levels themselves.
 
+use rayon::prelude::*;
+
 use super::samples::SIDE;
 use super::{Response, Samples};
 use crate::picture::Picture;
@@ -81,23 +83,32 @@ impl Samples {
     /// show keeps the value of [`NoiseModel::assumed`].
     pub fn noise(&self, response: &Response) -> NoiseModel {
         let mut noise = NoiseModel::assumed(response);
-        for channel in 0..3 {
-            if let Some(limit) = saturation(self, response, channel, noise.saturated_level[channel]) {
-                noise.saturated_level[channel] = limit;
-            }
-            // What is too dark to be looked at depends on the noise: once more with what was found.
-            for _ in 0..2 {
-                let equations = equations(self, response, &noise, channel);
-                if equations.len() >= 8 {
-                    // Rounding is certain, so it is taken out first and put back.
-                    let rounding = 1.0 / 12.0;
-                    let terms = fit(&equations, rounding);
-                    [noise.shot[channel], noise.read[channel]] = [terms[0], terms[1]];
-                    noise.level[channel] = rounding + terms[2];
-                }
-            }
+        let found: Vec<NoiseModel> =
+            (0..3).into_par_iter().map(|channel| self.noise_of(channel, response, noise.clone())).collect();
+        for (c, found) in found.iter().enumerate() {
+            (noise.shot[c], noise.read[c], noise.level[c]) = (found.shot[c], found.read[c], found.level[c]);
+            noise.saturated_level[c] = found.saturated_level[c];
         }
         noise.set_dark_level(response);
+        noise
+    }
+
+    /// `noise` with one channel's part as it is found.
+    fn noise_of(&self, channel: usize, response: &Response, mut noise: NoiseModel) -> NoiseModel {
+        if let Some(limit) = saturation(self, response, channel, noise.saturated_level[channel]) {
+            noise.saturated_level[channel] = limit;
+        }
+        // What is too dark to be looked at depends on the noise: once more with what was found.
+        for _ in 0..2 {
+            let equations = equations(self, response, &noise, channel);
+            if equations.len() >= 8 {
+                // Rounding is certain, so it is taken out first and put back.
+                let rounding = 1.0 / 12.0;
+                let terms = fit(&equations, rounding);
+                [noise.shot[channel], noise.read[channel]] = [terms[0], terms[1]];
+                noise.level[channel] = rounding + terms[2];
+            }
+        }
         noise
     }
 }

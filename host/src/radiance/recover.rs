@@ -30,6 +30,11 @@ impl Samples {
     /// # Errors
     /// [`Error::Request`] where no stack had two different exposure times, or where no block was measured twice.
     pub fn response(&self) -> Result<Response> {
+        self.response_and_noise().map(|(response, _)| response)
+    }
+
+    /// The response, and the noise that [`Samples::noise`] finds with it.
+    pub(super) fn response_and_noise(&self) -> Result<(Response, NoiseModel)> {
         if !self.bracketed {
             return Err(Error::request(
                 "the response cannot be recovered: no view was photographed with two different exposure times",
@@ -50,7 +55,7 @@ impl Samples {
             response = Response::from_tables(tables).with_covariance(covariances);
             noise = self.noise(&response);
         }
-        Ok(response)
+        Ok((response, noise))
     }
 
     fn recover(
@@ -80,12 +85,15 @@ impl Samples {
             if pass > 0 {
                 camera.model_error = model_error(&groups, &g, &camera);
             }
-            for rows in &groups {
-                // Residuals of the baseline say nothing about outliers: the first pass trusts every row.
-                if let Some(group) = Group::new(rows, &g, &camera, pass > 0) {
-                    group.add(&g, &mut matrix, &mut right, &mut mean);
-                }
-            }
+            // Residuals of the baseline say nothing about outliers: the first pass trusts every row.
+            let equations: Vec<Equations> = groups
+                .par_iter()
+                .filter_map(|rows| Group::new(rows, &g, &camera, pass > 0))
+                .map(|group| Equations::new(&group, &g))
+                .collect();
+            equations.iter().for_each(|equations| equations.add(&mut right, &mut mean));
+            let columns = matrix.as_mut_slice().par_chunks_mut(KNOTS).enumerate();
+            columns.for_each(|(k, column)| equations.iter().for_each(|e| e.add_to_column(k, column)));
             let right = right - &matrix * &baseline;
             let found = posterior(priors, &matrix, &right).ok_or_else(|| unsolved(channel))?;
             g = monotone(&found.precision, &baseline + found.deviation).ok_or_else(|| unsolved(channel))?;
@@ -159,51 +167,62 @@ fn mean_row<'a>(rows: impl Iterator<Item = &'a Row>) -> Row {
 /// Exposure per level, and the covariance of its logarithm at the knots.
 type Curve = (Vec<f32>, DMatrix<f64>);
 
-impl Group<'_> {
-    /// Adds its rows to the normal equations for g with its ln radiance eliminated; to `mean`, how its ln radiance depends
-    /// on g.
-    fn add(
-        &self,
-        g: &DVector<f64>,
-        matrix: &mut DMatrix<f64>,
-        right: &mut DVector<f64>,
-        mean: &mut DVector<f64>,
-    ) {
-        let total: f64 = self.weights.iter().sum();
-        // Each row linear in g: sum of p(k) g(k) = ln radiance + target.
-        let mut targets = Vec::with_capacity(self.rows.len());
-        let mut parts: Vec<Vec<(usize, f64)>> = Vec::with_capacity(self.rows.len());
-        for (row, ln_exposure) in self.rows.iter().zip(&self.ln_exposure) {
+/// A group's rows, linear in g, with its ln radiance eliminated: sum of p(k) g(k) = target.
+struct Equations {
+    /// Weight, p, and target less the mean target.
+    rows: Vec<(f64, Knots, f64)>,
+    /// The weighted sum of the rows' p, and of the weights.
+    sum: Knots,
+    total: f64,
+}
+
+/// Values at some of the knots, in their order.
+type Knots = Vec<(usize, f64)>;
+
+impl Equations {
+    fn new(group: &Group, g: &DVector<f64>) -> Self {
+        let total: f64 = group.weights.iter().sum();
+        let mut rows = Vec::with_capacity(group.rows.len());
+        let mut sum: Vec<(usize, f64)> = Vec::new();
+        for ((row, ln_exposure), &weight) in group.rows.iter().zip(&group.ln_exposure).zip(&group.weights) {
             let part: Vec<(usize, f64)> =
                 row.histogram.iter().map(|&(k, share)| (k, share * (g[k] - ln_exposure).exp())).collect();
-            targets.push(row.ln_time - ln_exposure + part.iter().map(|&(k, p)| p * g[k]).sum::<f64>());
-            parts.push(part);
+            sum.extend(part.iter().map(|&(k, p)| (k, weight * p)));
+            let target = row.ln_time - ln_exposure + part.iter().map(|&(k, p)| p * g[k]).sum::<f64>();
+            rows.push((weight, part, target));
         }
-        let mean_target = self.weights.iter().zip(&targets).map(|(w, t)| w * t).sum::<f64>() / total;
-        let mut all: Vec<(usize, f64)> = Vec::new();
-        for ((part, &weight), target) in parts.iter().zip(&self.weights).zip(&targets) {
-            for &(i, p) in part {
-                right[i] += weight * p * (target - mean_target);
-                for &(k, q) in part {
-                    matrix[(i, k)] += weight * p * q;
-                }
-                all.push((i, weight * p));
-            }
-        }
-        all.sort_unstable_by_key(|&(i, _)| i);
-        all.dedup_by(|next, kept| {
+        let mean = rows.iter().map(|(weight, _, target)| weight * target).sum::<f64>() / total;
+        rows.iter_mut().for_each(|(_, _, target)| *target -= mean);
+        sum.sort_unstable_by_key(|&(k, _)| k);
+        sum.dedup_by(|next, kept| {
             let same = next.0 == kept.0;
             if same {
                 kept.1 += next.1;
             }
             same
         });
-        for &(i, a) in &all {
-            mean[i] += a / total;
-            for &(k, b) in &all {
-                matrix[(i, k)] -= a * b / total;
+        Self { rows, sum, total }
+    }
+
+    /// Adds to the right side of the normal equations for g, and to `mean` how ln radiance depends on g.
+    fn add(&self, right: &mut DVector<f64>, mean: &mut DVector<f64>) {
+        for (weight, part, target) in &self.rows {
+            part.iter().for_each(|&(k, p)| right[k] += weight * p * target);
+        }
+        self.sum.iter().for_each(|&(k, a)| mean[k] += a / self.total);
+    }
+
+    /// Adds to column `k` of their matrix.
+    fn add_to_column(&self, k: usize, column: &mut [f64]) {
+        let at =
+            |terms: &[(usize, f64)]| terms.binary_search_by_key(&k, |term| term.0).ok().map(|at| terms[at].1);
+        let Some(b) = at(&self.sum) else { return };
+        for (weight, part, _) in &self.rows {
+            if let Some(q) = at(part) {
+                part.iter().for_each(|&(i, p)| column[i] += weight * p * q);
             }
         }
+        self.sum.iter().for_each(|&(i, a)| column[i] -= a * b / self.total);
     }
 }
 

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::Stack;
+use crate::picture::Picture;
 use crate::{Error, Result};
 
 /// Side of a sampled block, pixels: half of a JPEG block, so that it never lies across the seam of two.
@@ -81,7 +82,7 @@ impl Samples {
             bin.retain(|c| c.range <= median);
             let step = bin.len().div_ceil(PER_BIN).max(1);
             for candidate in bin.iter().step_by(step) {
-                let levels = order.iter().map(|&i| block(stack, i, candidate.corner)).collect();
+                let levels = order.iter().map(|&i| block(&stack.pictures[i], candidate.corner)).collect();
                 self.blocks.push(Block { stack: self.stacks.len(), levels });
             }
         }
@@ -133,10 +134,9 @@ impl Samples {
 fn judge(stack: &Stack, corner: (usize, usize)) -> Option<Candidate> {
     let white = stack.white();
     let (mut usable, mut range, mut sum) = (0, 0, 0u64);
-    for i in 0..stack.pictures.len() {
-        let levels = block(stack, i, corner);
+    for picture in &stack.pictures {
         let (mut low, mut high) = (u16::MAX, 0);
-        for level in levels {
+        for level in lines(picture, corner).flatten() {
             low = low.min(level[1]);
             high = high.max(level[1]);
             sum += u64::from(level[1]);
@@ -150,7 +150,12 @@ fn judge(stack: &Stack, corner: (usize, usize)) -> Option<Candidate> {
     (usable >= 2).then(|| Candidate { corner, brightness: (sum * BINS as u64 / most) as usize, range })
 }
 
-fn block(stack: &Stack, picture: usize, (x, y): (usize, usize)) -> [[u16; 3]; SIDE * SIDE] {
-    let picture = &stack.pictures[picture];
-    std::array::from_fn(|i| picture.levels[(y + i / SIDE) * picture.width as usize + x + i % SIDE])
+fn block(picture: &Picture, corner: (usize, usize)) -> [[u16; 3]; SIDE * SIDE] {
+    let mut levels = [[0; 3]; SIDE * SIDE];
+    levels.chunks_exact_mut(SIDE).zip(lines(picture, corner)).for_each(|(to, line)| to.copy_from_slice(line));
+    levels
+}
+
+fn lines(picture: &Picture, (x, y): (usize, usize)) -> impl Iterator<Item = &[[u16; 3]]> {
+    (y..y + SIDE).map(move |y| &picture.levels[y * picture.width as usize + x..][..SIDE])
 }

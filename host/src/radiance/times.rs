@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
 
 use super::rows::{Camera, Group, KNOTS, Row, rows};
 use super::{NoiseModel, Response, Samples, Stack};
@@ -112,10 +113,11 @@ impl Samples {
         let mut replaced = BTreeSet::new();
         for round in 0.. {
             interrupted()?;
-            let response = samples.response()?;
-            let noise = samples.noise(&response);
-            let times: Vec<Vec<MeasuredTime>> =
-                (0..samples.stacks.len()).map(|stack| samples.times_of(stack, &response, &noise)).collect();
+            let (response, noise) = samples.response_and_noise()?;
+            let times: Vec<Vec<MeasuredTime>> = (0..samples.stacks.len())
+                .into_par_iter()
+                .map(|stack| samples.times_of(stack, &response, &noise))
+                .collect();
             let all = times.iter().enumerate().flat_map(|(i, times)| (0..times.len()).map(move |j| (i, j)));
             let doubtful: Vec<(usize, usize)> = all.filter(|&(i, j)| times[i][j].is_doubtful()).collect();
             let off = |&(i, j): &(usize, usize)| times[i][j].off();
@@ -154,8 +156,7 @@ impl Samples {
             }
         }
         if is_back {
-            learnt.response = replaced.response()?;
-            learnt.noise = replaced.noise(&learnt.response);
+            (learnt.response, learnt.noise) = replaced.response_and_noise()?;
         }
         Ok(learnt)
     }

@@ -8,6 +8,9 @@ mod table;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use rayon::prelude::*;
 
 use super::lock::LOCK_FILE;
 use super::{Content, Event, Manifest, Photograph, Session};
@@ -120,33 +123,30 @@ pub fn import(
 
 /// Reads every photograph whole, so that a truncated one is found now and not after hours; completes the times.
 fn check(found: &mut [Found], options: &Options, progress: &dyn Progress) -> Result<Vec<(u32, u32)>> {
-    let total = 2 * found.len();
-    let mut sizes = Vec::with_capacity(total);
-    for (index, photograph) in found.iter_mut().enumerate() {
-        progress.step(index, total)?;
+    let (total, done) = (2 * found.len(), AtomicUsize::new(0));
+    let check = |photograph: &mut Found| -> Result<(u32, u32)> {
+        progress.step(done.fetch_add(1, Ordering::Relaxed), total)?;
         let picture = Picture::read(&photograph.path)?;
-        sizes.push((picture.width, picture.height));
         if photograph.exposure_s.is_none() {
             photograph.exposure_s = exif_exposure_s(&photograph.path);
         }
         match photograph.exposure_s {
-            None if !options.exposure_times_unknown => {
-                return Err(Error::input(
-                    &photograph.path,
-                    "has no exposure time",
-                    "give the times with --csv or --exposure-times, or let `observe` estimate one gain for each view with --exposure-times-unknown",
-                ));
-            }
-            Some(time) if !(time.is_finite() && time > 0.0) => {
-                return Err(Error::input(
-                    &photograph.path,
-                    format!("has an exposure time of {time} s"),
-                    "correct it: a time is a positive number of seconds",
-                ));
-            }
-            _ => {}
+            None if !options.exposure_times_unknown => Err(Error::input(
+                &photograph.path,
+                "has no exposure time",
+                "give the times with --csv or --exposure-times, or let `observe` estimate one gain for each view with --exposure-times-unknown",
+            )),
+            Some(time) if !(time.is_finite() && time > 0.0) => Err(Error::input(
+                &photograph.path,
+                format!("has an exposure time of {time} s"),
+                "correct it: a time is a positive number of seconds",
+            )),
+            _ => Ok((picture.width, picture.height)),
         }
-    }
+    };
+    // Of several that cannot be used the first is named.
+    let checked: Vec<Result<(u32, u32)>> = found.par_iter_mut().map(check).collect();
+    let sizes = checked.into_iter().collect::<Result<_>>()?;
     let total = found.len();
     let known = found.iter().filter(|photograph| photograph.exposure_s.is_some()).count();
     if known > 0 && known < total {
@@ -254,18 +254,25 @@ fn copy_flats(flats: &[PathBuf], folder: &Path) -> Result<()> {
 
 fn fill(found: &[Found], manifest: Manifest, folder: &Path, progress: &dyn Progress) -> Result<()> {
     let mut session = Session::create(folder, manifest)?;
-    let mut names = BTreeMap::new();
-    for (index, photograph) in found.iter().enumerate() {
-        progress.step(found.len() + index, 2 * found.len())?;
-        let file = format!("photographs/{}", unused_name(&photograph.path, &mut names)?);
+    let (mut names, done) = (BTreeMap::new(), AtomicUsize::new(found.len()));
+    let files: Vec<String> = found
+        .iter()
+        .map(|photograph| Ok(format!("photographs/{}", unused_name(&photograph.path, &mut names)?)))
+        .collect::<Result<_>>()?;
+    let copy = |(photograph, file): (&Found, &String)| {
+        progress.step(done.fetch_add(1, Ordering::Relaxed), 2 * found.len())?;
         // The photograph was read before: what fails now is the copy.
-        let copy = folder.join(&file);
+        let copy = folder.join(file);
         fs::copy(&photograph.path, &copy).map_err(Error::io("write", &copy))?;
+        Content::of(&copy)
+    };
+    let contents: Vec<Content> = found.par_iter().zip(&files).map(copy).collect::<Result<_>>()?;
+    for ((photograph, file), content) in found.iter().zip(files).zip(contents) {
         session.record(Event::Photograph(Photograph {
             view: photograph.view,
             file,
             exposure_s: photograph.exposure_s,
-            content: Some(Content::of(&copy)?),
+            content: Some(content),
             ..Photograph::default()
         }))?;
     }

@@ -13,7 +13,7 @@ pub(super) struct Search<'a> {
     there: Vec<(usize, usize, u32)>,
     total: f64,
     /// So many values need not be measured so well.
-    excused: f64,
+    pub excused: f64,
     clipped: u32,
 }
 

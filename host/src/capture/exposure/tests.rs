@@ -31,10 +31,15 @@ fn photograph(scene: &[f64], exposure_s: f64) -> Picture {
 
 /// The times that a view needs, and how it ends.
 fn take(planner: &Planner, scene: &[f64]) -> (Vec<f64>, Next) {
+    take_from(planner, None, scene)
+}
+
+/// The same for a view that begins with this time.
+fn take_from(planner: &Planner, mut begin: Option<f64>, scene: &[f64]) -> (Vec<f64>, Next) {
     let (mut times, mut taken) = (vec![], vec![]);
     loop {
-        assert!(times.len() <= 16, "it never ends: {times:?}");
-        match planner.next(&taken) {
+        assert!(times.len() <= 17, "it never ends: {times:?}");
+        match begin.take().map_or_else(|| planner.next(&taken), Next::Expose) {
             Next::Expose(time_s) => {
                 assert!(time_s <= LONGEST_S && time_s >= halvings()[15] * 0.999, "{time_s}");
                 taken.push(Glimpse::new(&photograph(scene, time_s), time_s, time_s));
@@ -115,6 +120,61 @@ fn what_halving_reaches_never_takes_more_and_mostly_less() {
     }
     println!("{planned} photographs where halving takes {halved}");
     assert!(planned * 6 < halved * 5, "{planned} of {halved}");
+}
+
+/// The shortest photograph of a view nearby that is so many stops brighter.
+fn nearby(scene: &[f64], stops: f64) -> Glimpse {
+    let other: Vec<f64> = scene.iter().map(|radiance| radiance * stops.exp2()).collect();
+    let mut shots = halvings().into_iter().map(|time_s| (photograph(&other, time_s), time_s));
+    let last = shots.clone().find(|(picture, _)| !is_saturated(picture)).or(shots.next_back());
+    last.map(|(picture, time_s)| Glimpse::new(&picture, time_s, time_s)).unwrap()
+}
+
+#[test]
+fn a_view_that_begins_like_its_neighbour_takes_fewer_and_reaches_the_same() {
+    let planner = planner(0.015, 0.99);
+    let (mut cold, mut most, mut warm) = (0, 0, [0; 6]);
+    for mut scene in scenes() {
+        // The longest time is far too long for most.
+        scene.iter_mut().for_each(|radiance| *radiance *= 20.0);
+        let (times, end) = take(&planner, &scene);
+        let all = halvings().into_iter().map(|time_s| (photograph(&scene, time_s), time_s));
+        let all: Vec<Glimpse> = all.map(|(picture, t)| Glimpse::new(&picture, t, t)).collect();
+        let halved = halve(&scene, 0.99).0;
+        (cold, most) = (cold + times.len(), most + halved);
+        for (warm, stops) in warm.iter_mut().zip([0.0, -0.3, 1.0, -1.0, 8.0, -8.0]) {
+            let begin = planner.first(&nearby(&scene, stops));
+            let (begun, reached) = take_from(&planner, Some(begin), &scene);
+            *warm += begun.len();
+            let context = format!("{stops}: {begun:?} {reached:?}, {times:?} {end:?}, {halved} by halving");
+            match reached {
+                Next::Enough(_) => {
+                    // Whoever knows every pixel's brightness says so, too.
+                    let bins: Vec<usize> = begun.iter().map(|&t| bins_below(t, LONGEST_S)).collect();
+                    let truly = Search::new(&planner.curves, &planner.look(&all), 0.99).error(&bins);
+                    assert!(truly < 1.1 * 0.015, "{context}: {truly}");
+                }
+                // What begins quite differently may spend what halving takes on finding out, and then says so.
+                _ => assert!(stops.abs() > 0.5 || !matches!(end, Next::Enough(_)), "{context}"),
+            }
+            let too_short = begun.iter().any(|&time_s| time_s < 0.75 * halvings()[halved - 1]);
+            assert!(begun.len() <= halved + usize::from(too_short), "{context}");
+        }
+    }
+    println!("{warm:?} photographs, {cold} without a neighbour, {most} by halving");
+    assert!(warm[0] < cold && warm[1] < cold);
+}
+
+#[test]
+fn what_no_time_shows_costs_a_view_that_begins_like_its_neighbour_one_photograph() {
+    let mut scene = scene(1.0, 1.0, 0.1);
+    let planner = planner(0.1, 0.99);
+    let begin = Some(planner.first(&nearby(&scene, 0.0)));
+    let (times, end) = take_from(&planner, begin, &scene);
+    scene.extend([1e-9; 400]);
+    let (again, with_dark) = take_from(&planner, begin, &scene);
+    assert!(matches!(end, Next::Enough(_)) && matches!(with_dark, Next::Enough(_)), "{end:?} {with_dark:?}");
+    assert!(again.contains(&LONGEST_S) && again.len() <= times.len() + 1, "{times:?} {again:?}");
 }
 
 #[test]
