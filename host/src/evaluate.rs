@@ -157,16 +157,7 @@ pub fn read_references(list: &Path, pixel_centre: f64) -> Result<Vec<Reference>>
     let load = |entry: ReferenceFile| {
         let radiance = reference_picture(&entry.file)?;
         let lens = entry.lens(radiance.width, radiance.height);
-        if (lens.width, lens.height) != (radiance.width, radiance.height) {
-            return Err(Error::input(
-                &entry.file,
-                format!(
-                    "is {}x{} pixels, its camera {}x{}",
-                    radiance.width, radiance.height, lens.width, lens.height
-                ),
-                "correct width and height in the list",
-            ));
-        }
+        check_size(&entry.file, &radiance, &lens, "correct width and height in the list")?;
         let name = entry.file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         Ok(Reference { name, lens, pose: entry.pose, radiance, exposure_known: true })
     };
@@ -181,6 +172,17 @@ pub fn read_references(list: &Path, pixel_centre: f64) -> Result<Vec<Reference>>
         ));
     }
     Ok(references)
+}
+
+fn check_size(path: &Path, radiance: &RadianceImage, lens: &Lens, remedy: &str) -> Result<()> {
+    if (lens.width, lens.height) == (radiance.width, radiance.height) {
+        return Ok(());
+    }
+    let what = format!(
+        "is {}x{} pixels, its camera {}x{}",
+        radiance.width, radiance.height, lens.width, lens.height
+    );
+    Err(Error::input(path, what, remedy))
 }
 
 /// Radiance that Rigel measured, with its mask, or a picture of linear radiance that somebody else made: there every pixel
@@ -218,16 +220,19 @@ fn beyond_range(levels: &[u16; 3]) -> Mask {
 /// Views of a session as references, by index; from where they were registered, if the session was.
 ///
 /// # Errors
-/// [`Error::Input`] when a view's radiance, lens or pose is missing.
+/// [`Error::Input`] when a view's radiance, lens or pose is missing, or the lens is for pictures of another size.
 pub fn session_references(session: &Session, views: &[usize]) -> Result<Vec<Reference>> {
     let registration = Registration::of(session)?;
     let load = |&view: &usize| {
         let (lens, pose) = view_geometry(session, registration.as_ref(), view)?;
+        let path = session.radiance_path(view);
+        let radiance = RadianceImage::read_exr(&path)?;
+        check_size(&path, &radiance, &lens, "register again with the lens of these photographs")?;
         Ok(Reference {
             name: session.manifest.views[view].name.clone(),
             lens,
             pose,
-            radiance: RadianceImage::read_exr(&session.radiance_path(view))?,
+            radiance,
             exposure_known: session.photographs(view).iter().all(|photo| photo.exposure_s.is_some()),
         })
     };

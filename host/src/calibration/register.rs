@@ -241,6 +241,10 @@ fn frame<'a>(
         Some((lens, covariance)) => (*lens, covariance.as_ref()),
         None => (*manifest.lens(first)?, None),
     };
+    if options.squares.is_none() {
+        // Where squares are looked for every view's size is compared with the lens's; here one stands for all.
+        luminance(session, first, &lens)?;
+    }
     let lens_covariance = covariance.map_or_else(|| assumed(&lens), |c| SMatrix::from_fn(|i, j| c[i][j]));
     Ok(Frame { layout, lens, lens_covariance, distance_m })
 }
