@@ -11,7 +11,7 @@ use std::sync::{Mutex, PoisonError};
 use rayon::prelude::*;
 
 use crate::calibration::Vignetting;
-use crate::camera::exif;
+use crate::camera::exif::{self, OneFocalLength};
 use crate::picture::Picture;
 use crate::progress::Progress;
 use crate::radiance::{MeasuredTime, NoiseModel, RadianceImage, Response, Samples, Stack, merge};
@@ -243,28 +243,19 @@ fn check_times(session: &Session, views: &[usize]) -> Result<()> {
     }
 }
 
-/// A zoom that was touched makes every lens and vignetting wrong: photographs of one lens must have one focal length, as far
-/// as they tell it.
+/// Photographs of one lens must have one focal length, as far as they tell it.
 fn check_focal_lengths(
     session: &Session,
     views: &[usize],
     interrupted: &dyn Fn() -> Result<()>,
 ) -> Result<()> {
-    let mut first: BTreeMap<usize, (PathBuf, f64)> = BTreeMap::new();
+    let mut of_lenses: BTreeMap<usize, OneFocalLength> = BTreeMap::new();
     for &view in views {
         for photograph in session.photographs(view) {
             interrupted()?;
             let path = session.photograph_path(photograph);
-            let Some(length_mm) = exif::read(&path)?.focal_length_mm else { continue };
-            let lens = session.manifest.views[view].lens;
-            let (other, before_mm) = first.entry(lens).or_insert_with(|| (path.clone(), length_mm));
-            if (length_mm / *before_mm - 1.0).abs() > 1e-3 {
-                return Err(Error::input(
-                    &path,
-                    format!("was taken at {length_mm} mm, but {} at {before_mm} mm", other.display()),
-                    "photograph a session at one focal length, or make a session of each",
-                ));
-            }
+            let focal = of_lenses.entry(session.manifest.views[view].lens).or_default();
+            focal.admit(&path, exif::read(&path)?.focal_length_mm)?;
         }
     }
     interrupted()
