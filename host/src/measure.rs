@@ -226,8 +226,22 @@ fn given(session: &Session, choice: &ResponseChoice, white: u16) -> Result<Respo
     }
 }
 
-/// Exposure times are all known or all unknown: one second in place of one among known ones would be a guess.
+/// Exposure times are all known or all unknown: one second in place of one among known ones would be a guess. Of unknown times a view
+/// has one: nobody knows which of several exposures was the longer.
 fn check_times(session: &Session, views: &[usize]) -> Result<()> {
+    let several = views.iter().map(|&view| session.photographs(view)).find(|photographs| {
+        photographs.len() > 1 && photographs.iter().all(|photograph| photograph.exposure_s.is_none())
+    });
+    if let Some(photographs) = several {
+        return Err(Error::input(
+            session.photograph_path(&photographs[1]),
+            format!(
+                "is one of {} photographs of a view whose exposure times nobody knows",
+                photographs.len()
+            ),
+            "import again with the times (--csv, --exposure-times), or one photograph for each view",
+        ));
+    }
     let photographs = || views.iter().flat_map(|&view| session.photographs(view));
     let unknown = photographs().find(|photograph| photograph.exposure_s.is_none());
     match (unknown, photographs().find(|photograph| photograph.exposure_s.is_some())) {
