@@ -21,7 +21,7 @@ use crate::{Error, Result, file};
 /// What a level of the photographs is worth.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub enum ResponseChoice {
-    /// Recovered from the session's brackets.
+    /// Recovered from the session's brackets; photographs of floating-point numbers are exposures already.
     #[default]
     Recover,
     /// Recovered before, from a response.csv.
@@ -68,6 +68,8 @@ pub struct Measured {
     pub vignetting_residual: Option<f64>,
     /// The photographs of the views written now whose measured exposure time was taken in place of the stated one.
     pub corrected: Vec<MeasuredTime>,
+    /// What was assumed or left out, one sentence each.
+    pub notes: Vec<String>,
 }
 
 /// The response is learnt from at most so many views, spread over the session.
@@ -80,18 +82,10 @@ const VIEWS_FOR_RESPONSE: usize = 40;
 /// measured in another way stays until all of the new is there.
 ///
 /// # Errors
-/// [`Error::Input`] naming a photograph that cannot be used, or whose exposure time its pixels contradict;
+/// [`Error::Input`] naming a photograph that cannot be used, or whose exposure time its pixels contradict (not with
+/// [`Times::Measured`]);
 /// [`Error::Request`] when no response can be recovered; [`Error::Io`]; [`Error::Interrupted`].
-pub fn measure(session: &Session, choice: &ResponseChoice, progress: &dyn Progress) -> Result<Measured> {
-    measure_with(session, &Options { response: choice.clone(), ..Options::default() }, progress)
-}
-
-/// [`measure`] with all its options.
-///
-/// # Errors
-/// Those of [`measure`]; with [`Times::Measured`] no photograph is refused for its exposure time.
-pub fn measure_with(session: &Session, options: &Options, progress: &dyn Progress) -> Result<Measured> {
-    let choice = &options.response;
+pub fn measure(session: &Session, options: &Options, progress: &dyn Progress) -> Result<Measured> {
     let views = session.done_views();
     if views.is_empty() {
         return Err(Error::input(
@@ -113,30 +107,43 @@ pub fn measure_with(session: &Session, options: &Options, progress: &dyn Progres
     }
     check_times(session, &views)?;
     check_focal_lengths(session, &views, &|| progress.step(0, views.len()))?;
-    let looked_at = if *choice == ResponseChoice::Recover { views.len().min(VIEWS_FOR_RESPONSE) } else { 0 };
+    let white = white(session, views[0])?;
+    let choice = match &options.response {
+        ResponseChoice::Recover if white == Picture::FLOAT_WHITE => &ResponseChoice::Linear,
+        choice => choice,
+    };
+    // Whatever the response is, brackets tell the noise.
+    let bracketed: Vec<usize> = views.iter().copied().filter(|&view| is_bracketed(session, view)).collect();
+    let looked_at = bracketed.len().min(VIEWS_FOR_RESPONSE);
     let total = looked_at + views.len();
     let done = AtomicUsize::new(0);
     let step = || progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, total);
-    let learnt = match choice {
+    let some: Vec<usize> = (0..looked_at).map(|i| bracketed[i * bracketed.len() / looked_at]).collect();
+    let samples = samples(session, &some, &step)?;
+    let (response, noise) = match choice {
         ResponseChoice::Recover => {
-            let some: Vec<usize> = (0..looked_at).map(|i| views[i * views.len() / looked_at]).collect();
-            let interrupted = || progress.step(looked_at, total);
-            let learnt = samples(session, &some, &step)?.learn_unless(&interrupted)?;
+            let learnt = samples.learn_unless(&|| progress.step(looked_at, total))?;
             options.times.judge(&learnt.doubtful)?;
-            Some(learnt)
+            (learnt.response, learnt.noise)
         }
-        _ => None,
-    };
-    let (response, noise) = match learnt {
-        Some(learnt) => (learnt.response, learnt.noise),
-        None => {
-            let response = given(session, choice, Stack::of_view(session, views[0])?.white())?;
-            let noise = NoiseModel::assumed(&response);
+        _ => {
+            let response = given(session, choice, white)?;
+            let noise = samples.noise(&response);
             (response, noise)
         }
     };
+    let mut notes = vec![];
+    if bracketed.is_empty() {
+        notes.push(
+            "no view was photographed with two different exposure times: the noise is taken for that of an ordinary camera"
+                .into(),
+        );
+    }
     progress.step(looked_at, total)?;
     let vignetting = vignetting(session, &response, &noise)?;
+    if vignetting.is_none() {
+        notes.push("no flats: vignetting stays in the radiance".into());
+    }
     progress.step(looked_at, total)?;
 
     let folder = gather_in(
@@ -199,6 +206,7 @@ pub fn measure_with(session: &Session, options: &Options, progress: &dyn Progres
         moved: part(moved),
         vignetting_residual: vignetting.map(|vignetting| vignetting.residual),
         corrected,
+        notes,
     })
 }
 
@@ -215,7 +223,14 @@ impl Times {
 /// A response that need not be recovered.
 fn given(session: &Session, choice: &ResponseChoice, white: u16) -> Result<Response> {
     match choice {
-        ResponseChoice::File(path) => Response::read_csv(path),
+        ResponseChoice::File(path) => {
+            let response = Response::read_csv(path)?;
+            if response.white() == white {
+                return Ok(response);
+            }
+            let what = format!("its levels go to {}, those of the photographs to {white}", response.white());
+            Err(Error::input(path, what, "recover or choose a response for these photographs"))
+        }
         ResponseChoice::Srgb if white == Picture::FLOAT_WHITE => Err(Error::input(
             session.folder(),
             "has photographs of floating-point numbers, to which the sRGB curve does not apply",
@@ -273,6 +288,20 @@ fn check_focal_lengths(
         }
     }
     interrupted()
+}
+
+/// The highest level of a view's photographs.
+fn white(session: &Session, view: usize) -> Result<u16> {
+    match session.photographs(view).first() {
+        Some(first) => Ok(Picture::read(session.photograph_path(first))?.white),
+        // What is wrong is said there.
+        None => Ok(Stack::of_view(session, view)?.white()),
+    }
+}
+
+fn is_bracketed(session: &Session, view: usize) -> bool {
+    let photographs = session.photographs(view);
+    photographs.iter().any(|photograph| photograph.exposure_s != photographs[0].exposure_s)
 }
 
 fn times_are_known(session: &Session, view: usize) -> bool {

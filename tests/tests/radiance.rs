@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use rigel::calibration::Vignetting;
-use rigel::measure::{self, ResponseChoice, Times, measure, measure_with};
+use rigel::measure::{self, Times, measure};
 use rigel::picture::Picture;
 use rigel::progress::Silent;
 use rigel::radiance::{RadianceImage, Response, Samples, Stack, merge, others};
@@ -236,14 +236,14 @@ fn a_wrong_exposure_time_is_refused_by_name_or_measured() {
     let source = Source::Csv { table: wrong, photographs: patchwork.join("photos") };
     let session =
         import(&source, &folder.path().join("session"), &Options::default(), &Silent).unwrap().session;
-    let message = measure(&session, &ResponseChoice::Recover, &Silent).unwrap_err().to_string();
+    let message = measure(&session, &measure::Options::default(), &Silent).unwrap_err().to_string();
     println!("{message}");
     assert!(message.contains("view002_2.jpg") && message.contains("0.4000 s"), "{message}");
     assert!(message.contains("--exposure-times measured"), "{message}");
     assert!(!session.radiance_path(2).exists());
 
     let options = measure::Options { times: Times::Measured, ..measure::Options::default() };
-    let measured = measure_with(&session, &options, &Silent).unwrap();
+    let measured = measure(&session, &options, &Silent).unwrap();
     assert_eq!(measured.written, 5);
     let [time] = &measured.corrected[..] else { panic!("{:?}", measured.corrected) };
     assert!(time.path.ends_with("view002_2.jpg") && (time.measured_s / 0.5 - 1.0).abs() < 0.02, "{time:?}");

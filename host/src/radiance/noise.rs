@@ -82,7 +82,10 @@ impl Samples {
     pub fn noise(&self, response: &Response) -> NoiseModel {
         let mut noise = NoiseModel::assumed(response);
         for channel in 0..3 {
-            if let Some(limit) = saturation(self, response, channel, noise.saturated_level[channel]) {
+            // Where the curve is a guess, what it says of white is one too.
+            if !response.is_assumed()
+                && let Some(limit) = saturation(self, response, channel, noise.saturated_level[channel])
+            {
                 noise.saturated_level[channel] = limit;
             }
             // What is too dark to be looked at depends on the noise: once more with what was found.

@@ -6,7 +6,7 @@ use rigel::calibration::{
     BoardSize, LensCovariance, RegisteredView, Registration, Squares, calibrate_photographs,
 };
 use rigel::geometry::{Lens, Pose};
-use rigel::measure::{ResponseChoice, measure};
+use rigel::measure::{self, measure};
 use rigel::progress::Silent;
 use rigel::session::Session;
 use rigel::session::import::{Options, Source, import};
@@ -33,7 +33,7 @@ pub fn import_patchwork(patchwork: &Path, table: &Path, folder: &Path) -> Sessio
     };
     let source = Source::Csv { table: table.into(), photographs: patchwork.join("photos") };
     let session = import(&source, folder, &options, &Silent).unwrap().session;
-    measure(&session, &ResponseChoice::Recover, &Silent).unwrap();
+    measure(&session, &measure::Options::default(), &Silent).unwrap();
     session
 }
 
