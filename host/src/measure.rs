@@ -141,8 +141,12 @@ pub fn measure(session: &Session, options: &Options, progress: &dyn Progress) ->
     }
     progress.step(looked_at, total)?;
     let vignetting = vignetting(session, &response, &noise)?;
-    if vignetting.is_none() {
-        notes.push("no flats: vignetting stays in the radiance".into());
+    match &vignetting {
+        None => notes.push("no flats: vignetting stays in the radiance".into()),
+        Some(fitted) if !fitted.settled => notes.push(
+            "the fit of the vignetting has not come to rest: take more flats, of an even surface without shadows".into(),
+        ),
+        Some(_) => {}
     }
     progress.step(looked_at, total)?;
 
