@@ -118,6 +118,13 @@ impl Lens {
         }
     }
 
+    /// The covariance of its numbers for a photograph of another size, see [`Self::scaled_to`].
+    pub fn scaled_covariance(&self, covariance: &LensCovariance, width: u32, height: u32) -> LensCovariance {
+        let (sx, sy) = (f64::from(width) / f64::from(self.width), f64::from(height) / f64::from(self.height));
+        let by = [sx, sy, sx, sy, 1.0, 1.0, 1.0, 1.0, 1.0];
+        std::array::from_fn(|i| std::array::from_fn(|j| by[i] * covariance[i][j] * by[j]))
+    }
+
     fn distort(&self, u: DVec2) -> DVec2 {
         let r2 = u.length_squared();
         let radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3));
