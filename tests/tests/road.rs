@@ -169,7 +169,7 @@ fn photographs_of_one_lobe_predict_views_that_nobody_took() {
                 lens,
                 pose,
                 radiance: camera.truth(&pose),
-                exposure_known: true,
+                exposure_time_known: true,
             }
         })
         .collect();

@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use exr::meta::MetaData;
+use exr::meta::header::Header;
 use exr::prelude::{
     AnyChannel, AnyChannels, Blocks, Compression, Encoding, FlatSamples, Image, Layer, LayerAttributes,
     LineOrder, SmallVec, WritableImage, attribute::AttributeValue, read_all_flat_layers_from_file,
@@ -62,6 +64,13 @@ impl RadianceImage {
                 other => Error::io("write", path)(std::io::Error::other(other.to_string())),
             })
         })
+    }
+
+    /// Whether a file says that it is Rigel's radiance, be it damaged or newer.
+    pub(crate) fn is_at(path: &Path) -> bool {
+        let names_itself =
+            |header: &Header| header.own_attributes.other.iter().any(|(name, _)| name.eq(KIND));
+        MetaData::read_from_file(path, false).is_ok_and(|data| data.headers.iter().any(names_itself))
     }
 
     /// Reads what [`RadianceImage::write_exr`] wrote, bit by bit the same.
