@@ -97,7 +97,7 @@ fn the_published_map_of_the_memorial_church_is_met_by_the_method_that_made_it() 
     let reference = reference(&folder.join("memorial_debevec_reference.hdr"));
     let share = |pixels: usize, smoothness: f64, weight: fn(usize) -> f64| {
         let response = others::debevec_response(&stack, pixels, smoothness).unwrap();
-        let radiance = others::debevec_merge(&stack, &response, weight);
+        let radiance = others::debevec_merge(&stack, &response, weight).unwrap();
         let share = within_a_quarter_stop(&radiance, &reference, 0.0..1e9);
         println!("memorial: {pixels} pixels, smoothness {smoothness}: {:.2} %", 100.0 * share);
         share

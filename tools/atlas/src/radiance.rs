@@ -58,11 +58,11 @@ fn robertson(brackets: &[Bracket]) -> Result<(f64, Vec<RadianceImage>)> {
 /// Methods that state no variance and mask nothing.
 fn without_variance(
     brackets: &[Bracket],
-    method: impl Fn(&Stack) -> Vec<[f32; 3]>,
+    method: impl Fn(&Stack) -> Result<Vec<[f32; 3]>>,
 ) -> Result<(f64, Vec<RadianceImage>)> {
     let (cpu_s, merged) =
-        cpu_seconds(ENOUGH, || brackets.iter().map(|b| method(&b.stack)).collect::<Vec<_>>());
-    let images = brackets.iter().zip(merged).map(|(bracket, radiance)| {
+        cpu_seconds(ENOUGH, || brackets.iter().map(|b| method(&b.stack)).collect::<Result<Vec<_>>>());
+    let images = brackets.iter().zip(merged?).map(|(bracket, radiance)| {
         let first = &bracket.stack.pictures[0];
         let (variance, mask) = (vec![[f32::NAN; 3]; radiance.len()], vec![0; radiance.len()]);
         RadianceImage { width: first.width, height: first.height, radiance, variance, mask }
