@@ -117,18 +117,14 @@ pub fn sweep(folder: &Path, report: &mut Report, progress: &dyn Progress) -> Res
             let (cpu_s, merged) = match method(&brackets) {
                 Ok(done) => done,
                 Err(refused) => {
-                    let unknown = ["-"; 6].map(str::to_owned);
-                    let start = [name.to_owned(), count.to_string(), stops.to_string()];
-                    figures.row(start.into_iter().chain(unknown).chain([refused.to_string()]).collect());
+                    figures.refused(&[name, &count.to_string(), &stops.to_string()], refused.to_string());
                     continue;
                 }
             };
             let error = error(&brackets, &merged);
             if !error.median.is_finite() {
-                let unknown = ["-"; 6].map(str::to_owned);
-                let start = [name.to_owned(), count.to_string(), stops.to_string()];
-                let why = "gives no number".to_owned();
-                figures.row(start.into_iter().chain(unknown).chain([why]).collect());
+                let start = [name, &count.to_string(), &stops.to_string()];
+                figures.refused(&start, "gives no number".into());
                 continue;
             }
             figures.row(vec![
