@@ -68,8 +68,8 @@ const NEGLIGIBLE: f64 = 0.02;
 /// What deviations are before they are estimated: half a degree, 3 mm at 0.9 m.
 const ANGLE_RAD: f64 = 0.0087;
 const SHIFT: f64 = 0.0033;
-/// The smallest deviations that are told from none.
-const SMALLEST: [f64; DEVIATIONS] = [1e-6, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6];
+/// The smallest deviations that are told from none, radians or metres.
+const SMALLEST: f64 = 1e-6;
 /// Fewer views tell nothing of how much views deviate.
 const FEWEST_VIEWS: usize = 6;
 /// Degrees of freedom of the weights' t distribution.
@@ -384,7 +384,7 @@ fn estimate_sigma(state: &mut Adjusted) {
             continue;
         }
         let sigma = (squares / known).sqrt();
-        state.sigma[k] = sigma.clamp(state.sigma[k] / 5.0, state.sigma[k] * 5.0).max(SMALLEST[k]);
+        state.sigma[k] = sigma.clamp(state.sigma[k] / 5.0, state.sigma[k] * 5.0).max(SMALLEST);
     }
 }
 

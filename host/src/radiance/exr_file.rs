@@ -24,7 +24,7 @@ const ENCODING: Encoding =
 
 impl RadianceImage {
     /// Writes the view as OpenEXR: 32-bit floats, the mask as unsigned integers, run-length-encoded without loss.
-    /// `response` names the response that fixed the unit (a file name, or "srgb"); it is kept as an attribute.
+    /// `response` says in words which response fixed the unit, and is kept as an attribute.
     ///
     /// # Errors
     /// [`Error::Io`] where the file cannot be written; what stood there before then stays.
@@ -40,7 +40,7 @@ impl RadianceImage {
 
         let software_name = Some(concat!("rigel ", env!("CARGO_PKG_VERSION")).into());
         let mut attributes = LayerAttributes { software_name, ..Default::default() };
-        let unit = "what reaches the middle level of the response in one second; variance in its square";
+        let unit = "what makes the response's exposure 1 in one second (its middle level, or a number 1); variance in its square";
         for (name, value) in [
             (KIND, AttributeValue::I32(VERSION)),
             ("rigelUnit", AttributeValue::Text(unit.into())),
