@@ -330,7 +330,8 @@ mod tests {
         let path = folder.path().join("response.csv");
         // Nothing up to level 120.
         let line = |z: u32| format!("{z},{0},{0},{0}\n", if z > 120 { f64::from(z) / 128.0 } else { 0.0 });
-        std::fs::write(&path, (0..256).fold(String::from("level,R,G,B\n"), |text, z| text + &line(z))).unwrap();
+        std::fs::write(&path, (0..256).fold(String::from("level,R,G,B\n"), |text, z| text + &line(z)))
+            .unwrap();
         let (response, even) = (Response::read_csv(&path).unwrap(), flat(&truth(), 0.2));
         let noise = NoiseModel { dark_level: [0; 3], ..NoiseModel::assumed(&response) };
         assert!(Vignetting::fit(&[even], &response, &noise).is_err());

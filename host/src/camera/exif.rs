@@ -189,7 +189,10 @@ mod tests {
         focal.admit(Path::new("2.jpg"), Some(24.0)).unwrap();
         focal.admit(Path::new("3.jpg"), None).unwrap();
         let message = focal.admit(Path::new("4.jpg"), Some(50.0)).unwrap_err().to_string();
-        assert!(["4.jpg", "50.0 mm", "2.jpg", "24.0 mm"].iter().all(|name| message.contains(name)), "{message}");
+        assert!(
+            ["4.jpg", "50.0 mm", "2.jpg", "24.0 mm"].iter().all(|name| message.contains(name)),
+            "{message}"
+        );
     }
 
     #[test]

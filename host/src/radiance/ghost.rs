@@ -85,13 +85,16 @@ fn differ(near: &[usize], pictures: &[&[[u16; 3]]], channels: &[Channel; 3]) -> 
     let pair = |a: usize, b: usize, c: usize| {
         let (mut sums, mut variance, mut count) = ([0.0; 2], 0.0, 0);
         for &i in near {
-            let (one, other) = (channels[c].says(a, pictures[a][i][c]), channels[c].says(b, pictures[b][i][c]));
+            let (one, other) =
+                (channels[c].says(a, pictures[a][i][c]), channels[c].says(b, pictures[b][i][c]));
             let kept = one.agrees_with(other);
             let (x, y, v) = match (one, other) {
                 (Says::Value(x, vx), Says::Value(y, vy)) => (x, y, vx + vy),
                 (Says::Value(x, v), Says::AtLeast(y) | Says::AtMost(y)) => (x, if kept { x } else { y }, v),
                 (Says::AtLeast(x) | Says::AtMost(x), Says::Value(y, v)) => (if kept { y } else { x }, y, v),
-                (Says::AtLeast(x), Says::AtMost(y)) | (Says::AtMost(x), Says::AtLeast(y)) if !kept => (x, y, 0.0),
+                (Says::AtLeast(x), Says::AtMost(y)) | (Says::AtMost(x), Says::AtLeast(y)) if !kept => {
+                    (x, y, 0.0)
+                }
                 _ => continue,
             };
             sums = [sums[0] + x, sums[1] + y];
@@ -221,19 +224,25 @@ mod tests {
     fn an_object_that_saturates_or_blackens_one_photograph_is_a_ghost() {
         let (_, curve) = CURVES[0];
         let times = [1.0, 0.5];
-        let shoot =
-            |radiance: f64, seed| simulated::shoot(&[[radiance; 3]; WIDTH * 192], WIDTH, &times, curve, 1.0, seed);
+        let shoot = |radiance: f64, seed| {
+            simulated::shoot(&[[radiance; 3]; WIDTH * 192], WIDTH, &times, curve, 1.0, seed)
+        };
         let (response, noise) =
             learnt(&simulated::shoot(&simulated::scene(WIDTH, 192, 1), WIDTH, &times, curve, 1.0, 5));
         // The surface, the object, and the photograph that the object is in: saturated, black, and a hand before a highlight that the
         // longer photograph saturates.
-        for (surface, object, photograph) in [(0.2, 50.0, 0), (0.2, 0.0, 1), (0.2, 0.0, 0), (1.3, 0.2, 1), (50.0, 0.0, 0)] {
+        for (surface, object, photograph) in
+            [(0.2, 50.0, 0), (0.2, 0.0, 1), (0.2, 0.0, 0), (1.3, 0.2, 1), (50.0, 0.0, 0)]
+        {
             let (moved, inside) = with_a_patch(&shoot(surface, 1), &shoot(object, 2), photograph);
             let merged = merge(&moved, &response, &noise).unwrap();
             let found = inside.iter().filter(|&&i| merged.mask[i] & RadianceImage::GHOST != 0).count();
             assert!(found * 100 > inside.len() * 95, "{surface} {object} {photograph}: {found}");
             for &i in inside.iter().filter(|&&i| merged.mask[i] & RadianceImage::GHOST != 0) {
-                assert!(merged.variance[i].iter().all(|v| v.is_infinite()), "{surface} {object} {photograph}");
+                assert!(
+                    merged.variance[i].iter().all(|v| v.is_infinite()),
+                    "{surface} {object} {photograph}"
+                );
             }
             let outside = part(&merged.mask) * merged.mask.len() as f64 - found as f64;
             assert!(outside <= 60.0, "{surface} {object} {photograph}: {outside}");

@@ -282,7 +282,10 @@ mod tests {
     #[test]
     fn sixteen_bits_that_never_clip_are_not_all_saturated() {
         let response = Response::linear(u16::MAX);
-        let block = |long: u16| Block { stack: 0, levels: vec![[[long; 3]; SIDE * SIDE], [[long / 2; 3]; SIDE * SIDE]] };
+        let block = |long: u16| Block {
+            stack: 0,
+            levels: vec![[[long; 3]; SIDE * SIDE], [[long / 2; 3]; SIDE * SIDE]],
+        };
         let samples = Samples {
             blocks: vec![block(65_500), block(65_400)],
             stacks: vec![Bracket { paths: vec!["a.png".into(), "b.png".into()], exposure_s: vec![1.0, 0.5] }],

@@ -70,11 +70,7 @@ pub fn debevec_response(stack: &Stack, pixels: usize, smoothness: f64) -> Result
 ///
 /// # Errors
 /// [`Error::Request`] for photographs or a response that are not 8 bits deep.
-pub fn debevec_merge(
-    stack: &Stack,
-    response: &Response,
-    weight: fn(usize) -> f64,
-) -> Result<Vec<[f32; 3]>> {
+pub fn debevec_merge(stack: &Stack, response: &Response, weight: fn(usize) -> f64) -> Result<Vec<[f32; 3]>> {
     check_depth(&[stack.white(), response.white()])?;
     let weights: Vec<f32> = (0..LEVELS).map(|level| weight(level) as f32).collect();
     let logs =

@@ -289,9 +289,13 @@ mod tests {
     #[test]
     fn the_covariance_of_an_imported_lens_is_kept() {
         let file = tempfile::NamedTempFile::new().unwrap();
-        let row = |i: usize| (0..9).map(|j| if i == j { "4.0" } else { "0.5" }).collect::<Vec<_>>().join(", ");
+        let row =
+            |i: usize| (0..9).map(|j| if i == j { "4.0" } else { "0.5" }).collect::<Vec<_>>().join(", ");
         let rows: Vec<String> = (0..9).map(|i| format!("[{}]", row(i))).collect();
-        let text = format!("width = 640\nheight = 480\nf = 500.0\ncx = 320.0\ncy = 240.0\ncovariance = [{}]\n", rows.join(", "));
+        let text = format!(
+            "width = 640\nheight = 480\nf = 500.0\ncx = 320.0\ncy = 240.0\ncovariance = [{}]\n",
+            rows.join(", ")
+        );
         fs::write(file.path(), text).unwrap();
         let calibration = Calibration::read(file.path(), 0.0).unwrap();
         let view = View { name: "view000".into(), pan_deg: None, tilt_deg: None, lens: 0, pose: None };

@@ -201,12 +201,17 @@ fn what_makes_no_lens_is_refused_in_a_sentence() {
             "7x5",
             &["c.png", "200x100", "320x240", "b0.png", "one size"],
         ),
-        (|folder| zoom(folder, 0, [18, 35]),
+        (
+            |folder| zoom(folder, 0, [18, 35]),
             "7x5",
             &["b1.jpg", "35.0 mm", "18.0 mm", "b0.jpg", "do not zoom"],
         ),
         // The first photograph does not tell.
-        (|folder| zoom(folder, 1, [24, 50]), "7x5", &["b2.jpg", "50.0 mm", "24.0 mm", "b1.jpg", "do not zoom"]),
+        (
+            |folder| zoom(folder, 1, [24, 50]),
+            "7x5",
+            &["b2.jpg", "50.0 mm", "24.0 mm", "b1.jpg", "do not zoom"],
+        ),
         (|folder| fs::write(folder.join("b3.png"), b"no picture").unwrap(), "7x5", &["b3.png", "complete"]),
     ];
     for (spoil, board, says) in all {

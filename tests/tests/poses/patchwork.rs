@@ -2,9 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use rigel::calibration::{
-    BoardSize, LensCovariance, Registration, Squares, calibrate_photographs,
-};
+use rigel::calibration::{BoardSize, LensCovariance, Registration, Squares, calibrate_photographs};
 use rigel::geometry::{Lens, Pose};
 use rigel::measure::{self, measure};
 use rigel::progress::Silent;
@@ -67,11 +65,15 @@ impl Truth {
 
 /// Median, 95th percentile and maximum of the direction errors (degrees), and the part of the errors within one sigma.
 pub fn summary(truth: &Truth, registration: &Registration) -> [f64; 4] {
-    let mut errors: Vec<f64> =
-        registration.views.iter().map(|view| view.direction_error_rad(&truth.pose(&view.name)).to_degrees()).collect();
+    let mut errors: Vec<f64> = registration
+        .views
+        .iter()
+        .map(|view| view.direction_error_rad(&truth.pose(&view.name)).to_degrees())
+        .collect();
     errors.sort_by(f64::total_cmp);
     let at = |part: f64| errors[(part * (errors.len() - 1) as f64).round() as usize];
-    let scores: Vec<f64> = registration.views.iter().flat_map(|view| view.direction_scores(&truth.pose(&view.name))).collect();
+    let scores: Vec<f64> =
+        registration.views.iter().flat_map(|view| view.direction_scores(&truth.pose(&view.name))).collect();
     let within = scores.iter().filter(|score| score.abs() < 1.0).count() as f64 / scores.len() as f64;
     [at(0.5), at(0.95), at(1.0), within]
 }

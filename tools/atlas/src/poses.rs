@@ -7,8 +7,8 @@ use std::time::Duration;
 
 use rigel::Result;
 use rigel::calibration::{
-    BoardCorner, BoardView, LensCovariance, LensModel, Registration, ViewCorners,
-    calibrate_lens, register_corners,
+    BoardCorner, BoardView, LensCovariance, LensModel, Registration, ViewCorners, calibrate_lens,
+    register_corners,
 };
 use rigel::chart::{self, Axis, ChartPoint};
 use rigel::geometry::Lens;
