@@ -143,7 +143,9 @@ pub fn register(
     if options.squares.is_some() {
         refuse_wild(&adjusted, frame.distance_m)?;
     }
-    Ok(Registration { notes, ..report(&frame, &data, &adjusted, &dropped, made_from, &name) })
+    let mut registration = report(&frame, &data, &adjusted, &dropped, made_from, &name);
+    notes.append(&mut registration.notes);
+    Ok(Registration { notes, ..registration })
 }
 
 /// Refuses poses whose deviations are those of no rig: three squares always fit some pose, wherever the file has them.
@@ -366,7 +368,13 @@ pub(super) fn report(
         rig: frame.rig(&adjusted.shared),
         deviations: DeviationSigma { pan_rad, tilt_rad, third_rad, shift_m: [x, y, z] },
         views: views.collect(),
-        notes: vec![],
+        notes: match adjusted.settled {
+            true => vec![],
+            false => vec![
+                "the adjustment had not come to rest when it was stopped: poses and their doubts are rough; check the squares file, or photograph more views"
+                    .into(),
+            ],
+        },
         dropped: reasons
             .filter_map(|(view, reason)| Some(DroppedView { name: name(view), reason: reason.clone()? }))
             .collect(),

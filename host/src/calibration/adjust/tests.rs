@@ -63,6 +63,7 @@ fn what_varies_is_told_from_what_does_not() {
     let frame = frame(&layout);
     let (data, _) = simulate(&frame, 60, 0.05, &mut random);
     let found = adjust(&frame, &data).unwrap();
+    assert!(found.settled);
     for (k, truth) in [0.004, 0.003, 0.0, 0.002, 0.0015, 0.0].into_iter().enumerate() {
         let sigma = found.sigma[k];
         // 60 views tell a standard deviation to 9 %.

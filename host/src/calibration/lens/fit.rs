@@ -143,7 +143,7 @@ pub fn calibrate_lens(
         dropped,
         verdict: String::new(),
     };
-    calibration.verdict = verdict(&calibration);
+    calibration.verdict = verdict(&calibration, estimate.settled);
     Ok(calibration)
 }
 
