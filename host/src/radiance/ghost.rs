@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 
 use rayon::prelude::*;
 
-use super::weights::{AGREE, Channel, Measured, Says};
+use super::weights::{AGREE, Channel, Measured, Says, is_filling};
 use super::{Mask, RadianceImage};
 
 /// While a picture is merged: the photographs of this pixel differ by more than noise.
@@ -72,7 +72,7 @@ fn agreed(i: usize, pictures: &[&[[u16; 3]]], channels: &[Channel; 3]) -> [Measu
     let levels: Vec<[u16; 3]> = pictures.iter().map(|picture| picture[i]).collect();
     let (agreeing, most) = majority(&levels, channels);
     [0, 1, 2].map(|c| {
-        let measured = channels[c].careful(agreeing.iter().copied(), |j| levels[j][c]);
+        let measured = channels[c].careful(agreeing.iter().copied(), |j| levels[j][c], |_| true);
         let variance = if most { measured.variance } else { f32::INFINITY };
         Measured { variance, ..measured }
     })
@@ -84,7 +84,7 @@ fn agreed(i: usize, pictures: &[&[[u16; 3]]], channels: &[Channel; 3]) -> [Measu
 fn differ(near: &[usize], pictures: &[&[[u16; 3]]], channels: &[Channel; 3]) -> bool {
     let pair = |a: usize, b: usize, c: usize| {
         let (mut sums, mut variance, mut count) = ([0.0; 2], 0.0, 0);
-        for &i in near {
+        for &i in near.iter().filter(|&&i| ![a, b].iter().any(|&j| is_filling(channels, pictures[j][i]))) {
             let (one, other) =
                 (channels[c].says(a, pictures[a][i][c]), channels[c].says(b, pictures[b][i][c]));
             let kept = one.agrees_with(other);

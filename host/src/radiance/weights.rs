@@ -175,12 +175,14 @@ impl Channel {
     /// The mean over some of the photographs, whatever their levels. A noisy level that happens to be low would claim a
     /// small variance and draw the mean down; so the mean found first tells the level that was to be expected in each
     /// photograph, and the variances are evaluated there. For the same reason a photograph is left out where its *expected*
-    /// level comes near black or saturation, as long as others remain.
+    /// level comes near black or saturation, as long as others remain. `bounds`: whether a photograph that does not measure the
+    /// pixel says anything of it ([`is_filling`]).
     #[cold]
     pub fn careful(
         &self,
         photographs: impl Iterator<Item = usize> + Clone,
         level: impl Fn(usize) -> u16,
+        bounds: impl Fn(usize) -> bool,
     ) -> Measured {
         let usable = photographs.clone().filter_map(|j| {
             let z = usize::from(level(j));
@@ -192,7 +194,7 @@ impl Channel {
             weight += t * t * certainty;
         }
         if weight == 0.0 {
-            return self.bound(photographs, level);
+            return self.bound(photographs, level, bounds);
         }
         let first = sum / weight;
         let (mut again, mut square, mut expected, mut count) = (0.0, 0.0, 0.0, 0);
@@ -210,7 +212,7 @@ impl Channel {
         let variance = 1.0 / weight + doubt * mean * mean;
         let mut agrees = count < 2 || spread <= most;
         // What hides a surface may be saturated or black: such a photograph measures nothing, but it contradicts.
-        for j in photographs {
+        for j in photographs.filter(|&j| bounds(j)) {
             agrees &= match self.says(j, level(j)) {
                 Says::Value(..) => true,
                 bound => Says::Value(mean, variance + self.bound_variance(j, bound)).agrees_with(bound),
@@ -243,15 +245,25 @@ impl Channel {
     }
 
     /// The bound on the radiance of a channel that no photograph measured, and why.
-    fn bound(&self, photographs: impl Iterator<Item = usize>, level: impl Fn(usize) -> u16) -> Measured {
-        let (mut lower, mut upper) = (0.0f32, f32::INFINITY);
-        for j in photographs {
-            match self.says(j, level(j)) {
-                Says::AtLeast(bound) => lower = lower.max(bound),
-                Says::AtMost(bound) => upper = upper.min(bound),
-                Says::Value(..) => {}
+    fn bound(
+        &self,
+        photographs: impl Iterator<Item = usize> + Clone,
+        level: impl Fn(usize) -> u16,
+        bounds: impl Fn(usize) -> bool,
+    ) -> Measured {
+        let within = |photographs: &mut dyn Iterator<Item = usize>| {
+            let (mut lower, mut upper) = (0.0f32, f32::INFINITY);
+            for j in photographs {
+                match self.says(j, level(j)) {
+                    Says::AtLeast(bound) => lower = lower.max(bound),
+                    Says::AtMost(bound) => upper = upper.min(bound),
+                    Says::Value(..) => {}
+                }
             }
-        }
+            (lower, upper)
+        };
+        let (least, most) = within(&mut photographs.clone().filter(|&j| bounds(j)));
+        let (lower, upper) = within(&mut photographs.clone());
         let mut flags = 0;
         if lower > 0.0 {
             flags |= RadianceImage::SATURATED;
@@ -260,8 +272,19 @@ impl Channel {
             flags |= RadianceImage::DARK;
         }
         let radiance = if lower > 0.0 { lower } else { upper };
-        Measured { radiance, variance: f32::INFINITY, flags, agrees: lower <= upper }
+        Measured { radiance, variance: f32::INFINITY, flags, agrees: least <= most }
     }
+}
+
+/// Whether a pixel is black in some channels and saturated in the others: with such colours alignment tools fill the borders that
+/// they shift in; lights hardly ever show them.
+pub(super) fn is_filling(channels: &[Channel; 3], levels: [u16; 3]) -> bool {
+    let count = |is: &dyn Fn(&Channel, u16) -> bool| {
+        channels.iter().zip(levels).filter(|(channel, level)| is(channel, *level)).count()
+    };
+    let saturated = count(&|channel, level| level >= channel.saturated_level);
+    let dark = count(&|channel, level| level <= channel.dark_level);
+    saturated > 0 && dark > 0 && saturated + dark == channels.len()
 }
 
 impl Bin {
