@@ -26,7 +26,7 @@ pub struct BoardCorner {
     /// Where it is in the picture; a pixel's centre is an integer.
     pub pixel: DVec2,
     /// Standard deviation of either coordinate as the picture around the corner tells it, pixels; it knows nothing of a
-    /// board that is bent.
+    /// board that is bent. A calibration weighs the corner by it.
     pub sigma_px: f64,
     /// How blurred the picture is there: standard deviation, pixels.
     pub blur_px: f64,

@@ -64,11 +64,11 @@ fn floating_point_photographs_keep_their_exact_response() {
     let folder = tempfile::tempdir().unwrap();
     let random = std::cell::RefCell::new(StdRng::seed_from_u64(3));
     let session = session(folder.path(), "exr", |path, exposure| {
-        exr::prelude::write_rgb_file(path, SIZE.0 as usize, SIZE.1 as usize, |x, y| {
-            let noisy = exposure(x, y) * (1.0 + 0.01 * normal(&mut random.borrow_mut()));
-            [noisy as f32; 3].into()
-        })
-        .unwrap();
+        let (width, height) = (SIZE.0 as usize, SIZE.1 as usize);
+        let noisy =
+            |i: usize| exposure(i % width, i / width) * (1.0 + 0.01 * normal(&mut random.borrow_mut()));
+        let pixels: Vec<f32> = (0..width * height).map(|i| noisy(i) as f32).collect();
+        exr::prelude::write_rgb_file(path, width, height, |x, y| [pixels[y * width + x]; 3].into()).unwrap();
     });
     let told = measured(&session, ResponseChoice::Recover);
     let used = Response::read_csv(&session.radiance_folder().join("response.csv")).unwrap();

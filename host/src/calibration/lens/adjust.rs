@@ -19,6 +19,8 @@ const ROUNDS: usize = 60;
 pub(super) struct Sight {
     pub point_m: DVec3,
     pub pixel: DVec2,
+    /// What it counts for, 1 for a corner that is as sure as most.
+    pub weight: f64,
 }
 
 /// A lens and the boards' poses.
@@ -81,7 +83,7 @@ fn price(estimate: &Estimate, boards: &[Vec<Sight>], loss: Loss) -> f64 {
     for (sights, pose) in boards.iter().zip(&estimate.poses) {
         for sight in sights {
             match estimate.lens.project(pose.rotation * sight.point_m + pose.translation_m) {
-                Some(pixel) => sum += loss.of(pixel.distance_squared(sight.pixel)).1,
+                Some(pixel) => sum += sight.weight * loss.of(pixel.distance_squared(sight.pixel)).1,
                 None => return f64::INFINITY,
             }
         }
@@ -95,7 +97,7 @@ fn block(lens: &Lens, pose: &BoardPose, sights: &[Sight], loss: Loss) -> Option<
         let turned = pose.rotation * sight.point_m;
         let (pixel, by_lens, by_point) = project(lens, turned + pose.translation_m)?;
         let residual = sight.pixel - pixel;
-        let weight = loss.of(residual.length_squared()).0;
+        let weight = sight.weight * loss.of(residual.length_squared()).0;
         let [px, py, pz] = by_point;
         // A turn w of the board moves its point by w x turned.
         let turns =
