@@ -253,7 +253,7 @@ fn check_times(session: &Session, views: &[usize]) -> Result<()> {
     });
     if let Some(photographs) = several {
         return Err(Error::input(
-            session.photograph_path(&photographs[1]),
+            session.photograph_path(photographs[1]),
             format!(
                 "is one of {} photographs of a view whose exposure times nobody knows",
                 photographs.len()
