@@ -34,7 +34,7 @@ pub struct Reference {
     pub radiance: RadianceImage,
     /// Whether its exposure time is known. Otherwise its radiance is on a scale of its own, and one gain (the median of
     /// truth / prediction) is taken out first.
-    pub exposure_known: bool,
+    pub exposure_time_known: bool,
 }
 
 /// The error of one view.
@@ -157,18 +157,9 @@ pub fn read_references(list: &Path, pixel_centre: f64) -> Result<Vec<Reference>>
     let load = |entry: ReferenceFile| {
         let radiance = reference_picture(&entry.file)?;
         let lens = entry.lens(radiance.width, radiance.height);
-        if (lens.width, lens.height) != (radiance.width, radiance.height) {
-            return Err(Error::input(
-                &entry.file,
-                format!(
-                    "is {}x{} pixels, its camera {}x{}",
-                    radiance.width, radiance.height, lens.width, lens.height
-                ),
-                "correct width and height in the list",
-            ));
-        }
+        check_size(&entry.file, &radiance, &lens, "correct width and height in the list")?;
         let name = entry.file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        Ok(Reference { name, lens, pose: entry.pose, radiance, exposure_known: true })
+        Ok(Reference { name, lens, pose: entry.pose, radiance, exposure_time_known: true })
     };
     let references: Vec<Reference> =
         ReferenceFile::read_list(list, pixel_centre)?.into_iter().map(load).collect::<Result<_>>()?;
@@ -183,11 +174,22 @@ pub fn read_references(list: &Path, pixel_centre: f64) -> Result<Vec<Reference>>
     Ok(references)
 }
 
+fn check_size(path: &Path, radiance: &RadianceImage, lens: &Lens, remedy: &str) -> Result<()> {
+    if (lens.width, lens.height) == (radiance.width, radiance.height) {
+        return Ok(());
+    }
+    let what = format!(
+        "is {}x{} pixels, its camera {}x{}",
+        radiance.width, radiance.height, lens.width, lens.height
+    );
+    Err(Error::input(path, what, remedy))
+}
+
 /// Radiance that Rigel measured, with its mask, or a picture of linear radiance that somebody else made: there every pixel
 /// counts as measured that is within the range of half floats.
 fn reference_picture(path: &Path) -> Result<RadianceImage> {
-    if let Ok(measured) = RadianceImage::read_exr(path) {
-        return Ok(measured);
+    if RadianceImage::is_at(path) {
+        return RadianceImage::read_exr(path);
     }
     let picture = Picture::read(path)?;
     if picture.white != Picture::FLOAT_WHITE {
@@ -218,17 +220,20 @@ fn beyond_range(levels: &[u16; 3]) -> Mask {
 /// Views of a session as references, by index; from where they were registered, if the session was.
 ///
 /// # Errors
-/// [`Error::Input`] when a view's radiance, lens or pose is missing.
+/// [`Error::Input`] when a view's radiance, lens or pose is missing, or the lens is for pictures of another size.
 pub fn session_references(session: &Session, views: &[usize]) -> Result<Vec<Reference>> {
     let registration = Registration::of(session)?;
     let load = |&view: &usize| {
         let (lens, pose) = view_geometry(session, registration.as_ref(), view)?;
+        let path = session.radiance_path(view);
+        let radiance = RadianceImage::read_exr(&path)?;
+        check_size(&path, &radiance, &lens, "register again with the lens of these photographs")?;
         Ok(Reference {
             name: session.manifest.views[view].name.clone(),
             lens,
             pose,
-            radiance: RadianceImage::read_exr(&session.radiance_path(view))?,
-            exposure_known: session.photographs(view).iter().all(|photo| photo.exposure_s.is_some()),
+            radiance,
+            exposure_time_known: session.photographs(view).iter().all(|photo| photo.exposure_s.is_some()),
         })
     };
     views.iter().map(load).collect()
@@ -252,7 +257,7 @@ pub fn evaluate(map: &ParameterMap, references: &[Reference], progress: &dyn Pro
                 "check its pose and lens, or leave it out",
             ));
         }
-        if !reference.exposure_known {
+        if !reference.exposure_time_known {
             let pairs = pixels.iter().map(|&i| (reference.radiance.radiance[i], rendering.radiance[i]));
             let gain = median(pairs.flat_map(|(t, p)| [0, 1, 2].map(|c| t[c] / p[c].max(1e-9))).collect());
             rendering.radiance.iter_mut().flatten().for_each(|value| *value *= gain);
@@ -330,4 +335,40 @@ fn median(mut values: Vec<f32>) -> f32 {
     }
     let middle = values.len() / 2;
     *values.select_nth_unstable_by(middle, f32::total_cmp).1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_damaged_or_newer_radiance_is_no_picture_without_a_mask() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("view.exr");
+        let image = RadianceImage {
+            width: 64,
+            height: 48,
+            radiance: vec![[1.0; 3]; 64 * 48],
+            variance: vec![[0.1; 3]; 64 * 48],
+            mask: vec![1; 64 * 48],
+        };
+        image.write_exr(&path, "test").unwrap();
+        assert_eq!(reference_picture(&path).unwrap(), image);
+        let bytes = std::fs::read(&path).unwrap();
+        let at = bytes.windows(13).position(|name| name == b"rigelRadiance").unwrap();
+        // Name, type and length, each as the format has them; then the version.
+        let version = at + "rigelRadiance\0int\0".len() + 4;
+        let mut newer = bytes.clone();
+        newer[version] = 2;
+        std::fs::write(&path, newer).unwrap();
+        assert!(reference_picture(&path).unwrap_err().to_string().contains("version"));
+        // Rigel's, but the mask has another name.
+        let mut unmasked = bytes.clone();
+        let at = bytes.windows(5).position(|name| name == b"mask\0").unwrap();
+        unmasked[at + 3] = b'c';
+        std::fs::write(&path, unmasked).unwrap();
+        assert!(reference_picture(&path).unwrap_err().to_string().contains("mask is missing"));
+        exr::prelude::write_rgb_file(&path, 4, 4, |_, _| (1.0f32, 1.0f32, 1.0f32)).unwrap();
+        assert_eq!(reference_picture(&path).unwrap().mask, [0; 16]);
+    }
 }

@@ -103,6 +103,17 @@ impl Lens {
         (back.distance(pixel) < 1e-6 * self.fx).then(|| direction.normalize())
     }
 
+    /// Its numbers, in the order fx fy cx cy k1 k2 p1 p2 k3.
+    pub fn numbers(&self) -> [f64; 9] {
+        [self.fx, self.fy, self.cx, self.cy, self.k1, self.k2, self.p1, self.p2, self.k3]
+    }
+
+    /// A lens with these numbers, for pictures of the same size.
+    pub fn with_numbers(&self, numbers: [f64; 9]) -> Self {
+        let [fx, fy, cx, cy, k1, k2, p1, p2, k3] = numbers;
+        Self { width: self.width, height: self.height, fx, fy, cx, cy, k1, k2, p1, p2, k3 }
+    }
+
     /// The same lens for a photograph of another size, each axis scaled by itself.
     pub fn scaled_to(&self, width: u32, height: u32) -> Self {
         let (sx, sy) = (f64::from(width) / f64::from(self.width), f64::from(height) / f64::from(self.height));
@@ -116,6 +127,13 @@ impl Lens {
             cy: (self.cy + 0.5) * sy - 0.5,
             ..*self
         }
+    }
+
+    /// The covariance of its numbers for a photograph of another size, see [`Self::scaled_to`].
+    pub fn scaled_covariance(&self, covariance: &LensCovariance, width: u32, height: u32) -> LensCovariance {
+        let (sx, sy) = (f64::from(width) / f64::from(self.width), f64::from(height) / f64::from(self.height));
+        let by = [sx, sy, sx, sy, 1.0, 1.0, 1.0, 1.0, 1.0];
+        std::array::from_fn(|i| std::array::from_fn(|j| by[i] * covariance[i][j] * by[j]))
     }
 
     fn distort(&self, u: DVec2) -> DVec2 {

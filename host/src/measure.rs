@@ -11,7 +11,7 @@ use std::sync::{Mutex, PoisonError};
 use rayon::prelude::*;
 
 use crate::calibration::Vignetting;
-use crate::camera::exif;
+use crate::camera::exif::{self, OneFocalLength};
 use crate::picture::Picture;
 use crate::progress::Progress;
 use crate::radiance::{MeasuredTime, NoiseModel, RadianceImage, Response, Samples, Stack, merge};
@@ -21,7 +21,7 @@ use crate::{Error, Result, file};
 /// What a level of the photographs is worth.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub enum ResponseChoice {
-    /// Recovered from the session's brackets.
+    /// Recovered from the session's brackets; photographs of floating-point numbers are exposures already.
     #[default]
     Recover,
     /// Recovered before, from a response.csv.
@@ -68,6 +68,8 @@ pub struct Measured {
     pub vignetting_residual: Option<f64>,
     /// The photographs of the views written now whose measured exposure time was taken in place of the stated one.
     pub corrected: Vec<MeasuredTime>,
+    /// What was assumed or left out, one sentence each.
+    pub notes: Vec<String>,
 }
 
 /// The response is learnt from at most so many views, spread over the session.
@@ -80,18 +82,10 @@ const VIEWS_FOR_RESPONSE: usize = 40;
 /// measured in another way stays until all of the new is there.
 ///
 /// # Errors
-/// [`Error::Input`] naming a photograph that cannot be used, or whose exposure time its pixels contradict;
+/// [`Error::Input`] naming a photograph that cannot be used, or whose exposure time its pixels contradict (not with
+/// [`Times::Measured`]);
 /// [`Error::Request`] when no response can be recovered; [`Error::Io`]; [`Error::Interrupted`].
-pub fn measure(session: &Session, choice: &ResponseChoice, progress: &dyn Progress) -> Result<Measured> {
-    measure_with(session, &Options { response: choice.clone(), ..Options::default() }, progress)
-}
-
-/// [`measure`] with all its options.
-///
-/// # Errors
-/// Those of [`measure`]; with [`Times::Measured`] no photograph is refused for its exposure time.
-pub fn measure_with(session: &Session, options: &Options, progress: &dyn Progress) -> Result<Measured> {
-    let choice = &options.response;
+pub fn measure(session: &Session, options: &Options, progress: &dyn Progress) -> Result<Measured> {
     let views = session.done_views();
     if views.is_empty() {
         return Err(Error::input(
@@ -113,31 +107,48 @@ pub fn measure_with(session: &Session, options: &Options, progress: &dyn Progres
     }
     check_times(session, &views)?;
     check_focal_lengths(session, &views, &|| progress.step(0, views.len()))?;
-    let looked_at = if *choice == ResponseChoice::Recover { views.len().min(VIEWS_FOR_RESPONSE) } else { 0 };
+    let white = white(session, views[0])?;
+    let choice = match &options.response {
+        ResponseChoice::Recover if white == Picture::FLOAT_WHITE => &ResponseChoice::Linear,
+        choice => choice,
+    };
+    // Whatever the response is, brackets tell the noise.
+    let bracketed: Vec<usize> = views.iter().copied().filter(|&view| is_bracketed(session, view)).collect();
+    let looked_at = bracketed.len().min(VIEWS_FOR_RESPONSE);
     let total = looked_at + views.len();
     let done = AtomicUsize::new(0);
     let step = || progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, total);
-    let learnt = match choice {
+    let some: Vec<usize> = (0..looked_at).map(|i| bracketed[i * bracketed.len() / looked_at]).collect();
+    let samples = samples(session, &some, &step)?;
+    let (response, noise) = match choice {
         ResponseChoice::Recover => {
-            let some: Vec<usize> = (0..looked_at).map(|i| views[i * views.len() / looked_at]).collect();
-            let interrupted = || progress.step(looked_at, total);
-            let learnt = samples(session, &some, &step)?.learn_unless(&interrupted)?;
+            let learnt = samples.learn_unless(&|| progress.step(looked_at, total))?;
             options.times.judge(&learnt.doubtful)?;
-            Some(learnt)
+            (learnt.response, learnt.noise)
         }
-        _ => None,
-    };
-    let (response, noise) = match learnt {
-        Some(learnt) => (learnt.response, learnt.noise),
-        None => {
-            let response = given(session, choice, Stack::of_view(session, views[0])?.white())?;
-            let noise = NoiseModel::assumed(&response);
+        _ => {
+            let response = given(session, choice, white)?;
+            let noise = samples.noise(&response);
             (response, noise)
         }
     };
+    let mut notes = vec![];
+    if bracketed.is_empty() {
+        notes.push(
+            "no view was photographed with two different exposure times: the noise is taken for that of an ordinary camera"
+                .into(),
+        );
+    }
     progress.step(looked_at, total)?;
     let vignetting = vignetting(session, &response, &noise)?;
     let gains = vignetting.as_ref().map(Vignetting::gains);
+    match &vignetting {
+        None => notes.push("no flats: vignetting stays in the radiance".into()),
+        Some(fitted) if !fitted.settled => notes.push(
+            "the fit of the vignetting has not come to rest: take more flats, of an even surface without shadows".into(),
+        ),
+        Some(_) => {}
+    }
     progress.step(looked_at, total)?;
 
     let folder = gather_in(
@@ -200,6 +211,7 @@ pub fn measure_with(session: &Session, options: &Options, progress: &dyn Progres
         moved: part(moved),
         vignetting_residual: vignetting.map(|vignetting| vignetting.residual),
         corrected,
+        notes,
     })
 }
 
@@ -216,7 +228,14 @@ impl Times {
 /// A response that need not be recovered.
 fn given(session: &Session, choice: &ResponseChoice, white: u16) -> Result<Response> {
     match choice {
-        ResponseChoice::File(path) => Response::read_csv(path),
+        ResponseChoice::File(path) => {
+            let response = Response::read_csv(path)?;
+            if response.white() == white {
+                return Ok(response);
+            }
+            let what = format!("its levels go to {}, those of the photographs to {white}", response.white());
+            Err(Error::input(path, what, "recover or choose a response for these photographs"))
+        }
         ResponseChoice::Srgb if white == Picture::FLOAT_WHITE => Err(Error::input(
             session.folder(),
             "has photographs of floating-point numbers, to which the sRGB curve does not apply",
@@ -227,8 +246,22 @@ fn given(session: &Session, choice: &ResponseChoice, white: u16) -> Result<Respo
     }
 }
 
-/// Exposure times are all known or all unknown: one second in place of one among known ones would be a guess.
+/// Exposure times are all known or all unknown: one second in place of one among known ones would be a guess. Of unknown times a view
+/// has one: nobody knows which of several exposures was the longer.
 fn check_times(session: &Session, views: &[usize]) -> Result<()> {
+    let several = views.iter().map(|&view| session.photographs(view)).find(|photographs| {
+        photographs.len() > 1 && photographs.iter().all(|photograph| photograph.exposure_s.is_none())
+    });
+    if let Some(photographs) = several {
+        return Err(Error::input(
+            session.photograph_path(photographs[1]),
+            format!(
+                "is one of {} photographs of a view whose exposure times nobody knows",
+                photographs.len()
+            ),
+            "import again with the times (--csv, --exposure-times), or one photograph for each view",
+        ));
+    }
     let photographs = || views.iter().flat_map(|&view| session.photographs(view));
     let unknown = photographs().find(|photograph| photograph.exposure_s.is_none());
     match (unknown, photographs().find(|photograph| photograph.exposure_s.is_some())) {
@@ -244,31 +277,36 @@ fn check_times(session: &Session, views: &[usize]) -> Result<()> {
     }
 }
 
-/// A zoom that was touched makes every lens and vignetting wrong: photographs of one lens must have one focal length, as far
-/// as they tell it.
+/// Photographs of one lens must have one focal length, as far as they tell it.
 fn check_focal_lengths(
     session: &Session,
     views: &[usize],
     interrupted: &dyn Fn() -> Result<()>,
 ) -> Result<()> {
-    let mut first: BTreeMap<usize, (PathBuf, f64)> = BTreeMap::new();
+    let mut of_lenses: BTreeMap<usize, OneFocalLength> = BTreeMap::new();
     for &view in views {
         for photograph in session.photographs(view) {
             interrupted()?;
             let path = session.photograph_path(photograph);
-            let Some(length_mm) = exif::read(&path)?.focal_length_mm else { continue };
-            let lens = session.manifest.views[view].lens;
-            let (other, before_mm) = first.entry(lens).or_insert_with(|| (path.clone(), length_mm));
-            if (length_mm / *before_mm - 1.0).abs() > 1e-3 {
-                return Err(Error::input(
-                    &path,
-                    format!("was taken at {length_mm} mm, but {} at {before_mm} mm", other.display()),
-                    "photograph a session at one focal length, or make a session of each",
-                ));
-            }
+            let focal = of_lenses.entry(session.manifest.views[view].lens).or_default();
+            focal.admit(&path, exif::read(&path)?.focal_length_mm)?;
         }
     }
     interrupted()
+}
+
+/// The highest level of a view's photographs.
+fn white(session: &Session, view: usize) -> Result<u16> {
+    match session.photographs(view).first() {
+        Some(first) => Ok(Picture::read(session.photograph_path(first))?.white),
+        // What is wrong is said there.
+        None => Ok(Stack::of_view(session, view)?.white()),
+    }
+}
+
+fn is_bracketed(session: &Session, view: usize) -> bool {
+    let photographs = session.photographs(view);
+    photographs.iter().any(|photograph| photograph.exposure_s != photographs[0].exposure_s)
 }
 
 fn times_are_known(session: &Session, view: usize) -> bool {

@@ -19,7 +19,7 @@ use rigel::calibration::{RegisterOptions, Registration, register};
 use rigel::evaluate::{evaluate, read_references};
 use rigel::fit::{FitOptions, Model};
 use rigel::geometry::Texels;
-use rigel::measure::{ResponseChoice, measure};
+use rigel::measure::{self, ResponseChoice, measure};
 use rigel::observation::{Options, observe};
 use rigel::parameter_map::fit_surface;
 use rigel::progress::Silent;
@@ -35,8 +35,8 @@ fn main() {
     let response = folder.path().join("response.csv");
     std::fs::write(&response, true_response(&patchwork)).unwrap();
     println!("{:<34} {:>12} {:>9}", "", "mean of 255", "PSNR dB");
-    for (name, choice) in [("found", ResponseChoice::Recover), ("true", ResponseChoice::File(response))] {
-        measure(&session, &choice, &Silent).unwrap();
+    for (name, response) in [("found", ResponseChoice::Recover), ("true", ResponseChoice::File(response))] {
+        measure(&session, &measure::Options { response, ..measure::Options::default() }, &Silent).unwrap();
         let options = RegisterOptions { squares: Some(squares(folder.path())), lens: Some(lens) };
         let found = register(&session, &options, &Silent).unwrap();
         let [median, p95, most, _] = summary(&truth, &found);

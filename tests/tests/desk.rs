@@ -14,7 +14,7 @@ use glam::Vec3;
 use rigel::evaluate::{evaluate, session_references};
 use rigel::fit::{FitOptions, Model, candidates};
 use rigel::geometry::Texels;
-use rigel::measure::{ResponseChoice, measure};
+use rigel::measure::{self, ResponseChoice, measure};
 use rigel::observation::{self, ObservationMap, TexelObservations, observe};
 use rigel::parameter_map::{Selection, fit_surface, select_surface};
 use rigel::progress::Silent;
@@ -30,7 +30,8 @@ fn session(folder: &Path) -> Option<Imported> {
     let source = Source::Colmap { photographs: model.join("images"), model };
     let options = Options { exposure_times_unknown: true, ..Options::default() };
     let imported = import(&source, &folder.join("session"), &options, &Silent).unwrap();
-    measure(&imported.session, &ResponseChoice::Srgb, &Silent).unwrap();
+    let options = measure::Options { response: ResponseChoice::Srgb, ..measure::Options::default() };
+    measure(&imported.session, &options, &Silent).unwrap();
     Some(imported)
 }
 

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rigel::capture::{add_views, capture};
 use rigel::geometry::Lens;
-use rigel::measure::{ResponseChoice, measure};
+use rigel::measure::{self, measure};
 use rigel::progress::{Progress, Silent};
 use rigel::radiance::RadianceImage;
 use rigel::rig::{Rig, SerialRig};
@@ -114,7 +114,7 @@ fn photograph(
             outcome => break outcome.unwrap(),
         }
     };
-    measure(&session, &ResponseChoice::Recover, &Silent).unwrap();
+    measure(&session, &measure::Options::default(), &Silent).unwrap();
 
     let (mut photographs, mut values) = (0, vec![]);
     for view in 0..session.manifest.views.len() {

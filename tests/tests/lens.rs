@@ -220,6 +220,36 @@ fn the_predicted_uncertainty_is_that_of_two_thousand_calibrations() {
     }
 }
 
+/// Every third corner is four times as noisy as the others.
+#[test]
+fn a_corner_counts_for_as_much_as_it_is_sure() {
+    let lens = lens();
+    let boards = strew(&lens, 9, 6, 8, 6);
+    let mut squares = [0.0; 2];
+    for seed in 0..12 {
+        let mut random = StdRng::seed_from_u64(seed);
+        let views: Vec<BoardView> = boards
+            .iter()
+            .map(|board| {
+                let (sure, unsure) =
+                    (noisy(board, &lens, 0.05, &mut random), noisy(board, &lens, 0.2, &mut random));
+                let pairs = sure.corners.into_iter().zip(unsure.corners).enumerate();
+                let corners = pairs.map(|(i, (sure, unsure))| if i % 3 == 0 { unsure } else { sure });
+                BoardView { path: "board.png".into(), corners: corners.collect() }
+            })
+            .collect();
+        let mut equal = views.clone();
+        equal.iter_mut().flat_map(|view| &mut view.corners).for_each(|corner| corner.sigma_px = 0.1);
+        for (views, square) in [views, equal].iter().zip(&mut squares) {
+            let found = calibrate_lens(views, (640, 480), 1.0, Some(LensModel::K1K2P1P2)).unwrap().lens;
+            *square += (found.fx - lens.fx).powi(2) + (found.fy - lens.fy).powi(2);
+        }
+    }
+    let [told, untold] = squares.map(|square: f64| (square / 24.0).sqrt());
+    println!("focal length within {told:.3} px, {untold:.3} where nobody says which corners are unsure");
+    assert!(told < 0.85 * untold, "{told} {untold}");
+}
+
 #[test]
 fn the_patchwork_s_lens_is_within_its_uncertainty() {
     let Some(folder) = data("multiview/patchwork/calibration") else { return };

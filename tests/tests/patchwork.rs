@@ -3,7 +3,7 @@
 use rigel::evaluate::{evaluate, read_references};
 use rigel::fit::{FitOptions, Model};
 use rigel::geometry::Texels;
-use rigel::measure::{ResponseChoice, measure};
+use rigel::measure::{self, measure};
 use rigel::observation::{Options as ObservationOptions, observe};
 use rigel::parameter_map::fit_surface;
 use rigel::progress::Silent;
@@ -25,7 +25,7 @@ fn six_views_that_nobody_took_are_predicted() {
     };
     let source = Source::Csv { table: patchwork.join("views.csv"), photographs: patchwork.join("photos") };
     let session = import(&source, &folder.path().join("session"), &options, &Silent).unwrap().session;
-    measure(&session, &ResponseChoice::Recover, &Silent).unwrap();
+    measure(&session, &measure::Options::default(), &Silent).unwrap();
     let path = folder.path().join("observations.rigel");
     let number = |name: &str, default: u32| std::env::var(name).map_or(default, |n| n.parse().unwrap());
     let columns = number("COLUMNS_OF_TEXELS", 256);

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use rigel::calibration::Vignetting;
-use rigel::measure::{self, ResponseChoice, Times, measure, measure_with};
+use rigel::measure::{self, Times, measure};
 use rigel::picture::Picture;
 use rigel::progress::Silent;
 use rigel::radiance::{RadianceImage, Response, Samples, Stack, merge, others};
@@ -97,7 +97,7 @@ fn the_published_map_of_the_memorial_church_is_met_by_the_method_that_made_it() 
     let reference = reference(&folder.join("memorial_debevec_reference.hdr"));
     let share = |pixels: usize, smoothness: f64, weight: fn(usize) -> f64| {
         let response = others::debevec_response(&stack, pixels, smoothness).unwrap();
-        let radiance = others::debevec_merge(&stack, &response, weight);
+        let radiance = others::debevec_merge(&stack, &response, weight).unwrap();
         let share = within_a_quarter_stop(&radiance, &reference, 0.0..1e9);
         println!("memorial: {pixels} pixels, smoothness {smoothness}: {:.2} %", 100.0 * share);
         share
@@ -236,14 +236,14 @@ fn a_wrong_exposure_time_is_refused_by_name_or_measured() {
     let source = Source::Csv { table: wrong, photographs: patchwork.join("photos") };
     let session =
         import(&source, &folder.path().join("session"), &Options::default(), &Silent).unwrap().session;
-    let message = measure(&session, &ResponseChoice::Recover, &Silent).unwrap_err().to_string();
+    let message = measure(&session, &measure::Options::default(), &Silent).unwrap_err().to_string();
     println!("{message}");
     assert!(message.contains("view002_2.jpg") && message.contains("0.4000 s"), "{message}");
     assert!(message.contains("--exposure-times measured"), "{message}");
     assert!(!session.radiance_path(2).exists());
 
     let options = measure::Options { times: Times::Measured, ..measure::Options::default() };
-    let measured = measure_with(&session, &options, &Silent).unwrap();
+    let measured = measure(&session, &options, &Silent).unwrap();
     assert_eq!(measured.written, 5);
     let [time] = &measured.corrected[..] else { panic!("{:?}", measured.corrected) };
     assert!(time.path.ends_with("view002_2.jpg") && (time.measured_s / 0.5 - 1.0).abs() < 0.02, "{time:?}");

@@ -1,9 +1,12 @@
-//! What fuzzing once found, and what it is meant to find: every file below `tests/fuzz/regressions` by its target's property.
+//! What once went wrong: what fuzzing found and is meant to find (every file below `tests/fuzz/regressions` by its target's property),
+//! and what reading found.
 
 #![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
 
 #[path = "../fuzz/src/lib.rs"]
 mod properties;
+#[path = "regressions/radiance.rs"]
+mod radiance;
 
 use std::path::Path;
 

@@ -10,7 +10,7 @@ use rigel::camera::Camera;
 use rigel::evaluate::{Reference, evaluate};
 use rigel::fit::{FitOptions, Fitter, Model};
 use rigel::geometry::{Lens, Pose, Surface, Texels};
-use rigel::measure::{ResponseChoice, measure};
+use rigel::measure::{self, measure};
 use rigel::observation::{self, ObservationMap, TexelObservations, observe};
 use rigel::parameter_map::fit_surface;
 use rigel::picture::Picture;
@@ -111,7 +111,7 @@ fn measured(folder: &Path, table: &Path, lens: &Lens, surface: Surface) -> Sessi
     };
     let source = Source::Csv { table: table.into(), photographs: folder.join("photos") };
     let session = import(&source, &folder.join("session"), &options, &Silent).unwrap().session;
-    measure(&session, &ResponseChoice::Recover, &Silent).unwrap();
+    measure(&session, &measure::Options::default(), &Silent).unwrap();
     session
 }
 
@@ -169,7 +169,7 @@ fn photographs_of_one_lobe_predict_views_that_nobody_took() {
                 lens,
                 pose,
                 radiance: camera.truth(&pose),
-                exposure_known: true,
+                exposure_time_known: true,
             }
         })
         .collect();

@@ -56,6 +56,8 @@ pub(super) struct Adjusted {
     pub joint: Vec<Joint>,
     /// Per view and square, residuals squared over their expected value: 1 on average, of its place and of its shape.
     pub misfit: Vec<Vec<[f64; 2]>>,
+    /// Whether it came to rest.
+    pub settled: bool,
 }
 
 /// Rounds at most, and when the standard deviations have settled (relative).
@@ -68,8 +70,8 @@ const NEGLIGIBLE: f64 = 0.02;
 /// What deviations are before they are estimated: half a degree, 3 mm at 0.9 m.
 const ANGLE_RAD: f64 = 0.0087;
 const SHIFT: f64 = 0.0033;
-/// The smallest deviations that are told from none.
-const SMALLEST: [f64; DEVIATIONS] = [1e-6, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6];
+/// The smallest deviations that are told from none, radians or metres.
+const SMALLEST: f64 = 1e-6;
 /// Fewer views tell nothing of how much views deviate.
 const FEWEST_VIEWS: usize = 6;
 /// Degrees of freedom of the weights' t distribution.
@@ -89,21 +91,9 @@ impl Frame<'_> {
     }
 
     pub fn lens(&self, shared: &SVector<f64, SHARED>) -> Lens {
-        let l = &self.lens;
-        let d = &shared.as_slice()[RIG..RIG + LENS];
-        Lens {
-            width: l.width,
-            height: l.height,
-            fx: l.fx + d[0],
-            fy: l.fy + d[1],
-            cx: l.cx + d[2],
-            cy: l.cy + d[3],
-            k1: l.k1 + d[4],
-            k2: l.k2 + d[5],
-            p1: l.p1 + d[6],
-            p2: l.p2 + d[7],
-            k3: l.k3 + d[8],
-        }
+        let mut numbers = self.lens.numbers();
+        numbers.iter_mut().zip(&shared.as_slice()[RIG..]).for_each(|(number, change)| *number += change);
+        self.lens.with_numbers(numbers)
     }
 
     /// Where a square's corners appear; `None` where they do not.
@@ -266,6 +256,7 @@ pub(super) fn adjust(frame: &Frame, views: &[ViewData]) -> Option<Adjusted> {
         view_noise: vec![1.0; views.len()],
         joint: vec![],
         misfit: views.iter().map(|view| vec![[1.0; 2]; view.squares.len()]).collect(),
+        settled: false,
     };
     adjust_from(frame, views, start)
 }
@@ -345,7 +336,8 @@ pub(super) fn adjust_from(frame: &Frame, views: &[ViewData], mut state: Adjusted
             .filter(|&k| state.sigma[k] > NEGLIGIBLE * first[k])
             .map(|k| (before[k] / state.sigma[k]).ln().abs())
             .fold(0.0, f64::max);
-        if round >= RELINEARISED && change < SETTLED {
+        state.settled = change < SETTLED;
+        if round >= RELINEARISED && state.settled {
             break;
         }
     }
@@ -384,7 +376,7 @@ fn estimate_sigma(state: &mut Adjusted) {
             continue;
         }
         let sigma = (squares / known).sqrt();
-        state.sigma[k] = sigma.clamp(state.sigma[k] / 5.0, state.sigma[k] * 5.0).max(SMALLEST[k]);
+        state.sigma[k] = sigma.clamp(state.sigma[k] / 5.0, state.sigma[k] * 5.0).max(SMALLEST);
     }
 }
 

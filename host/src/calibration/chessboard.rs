@@ -26,7 +26,7 @@ pub struct BoardCorner {
     /// Where it is in the picture; a pixel's centre is an integer.
     pub pixel: DVec2,
     /// Standard deviation of either coordinate as the picture around the corner tells it, pixels; it knows nothing of a
-    /// board that is bent.
+    /// board that is bent. A calibration weighs the corner by it.
     pub sigma_px: f64,
     /// How blurred the picture is there: standard deviation, pixels.
     pub blur_px: f64,
@@ -52,6 +52,8 @@ pub enum Sighting {
 
 /// Fewer corners than this are no board: any texture has some.
 const LEAST: usize = 9;
+/// Narrower pictures show no board.
+const NARROWEST_PX: usize = 32;
 /// The largest side, pixels, at which corners are first searched for.
 const COMFORTABLE_PX: usize = 900;
 /// Radius of the fit around a corner: share of the distance to its neighbours, and limits in pixels.
@@ -60,11 +62,14 @@ const RADIUS_PX: (f64, f64) = (2.6, 9.0);
 
 /// Searches for a board.
 pub fn find_board(picture: &Picture, size: BoardSize) -> Sighting {
-    if picture.width < 32 || picture.height < 32 {
+    if picture.width < NARROWEST_PX as u32 || picture.height < NARROWEST_PX as u32 {
         return Sighting::Nothing;
     }
     let mut levels = vec![Grey::of(picture)];
-    while levels.last().is_some_and(|grey| grey.width.max(grey.height) > COMFORTABLE_PX) {
+    let too_large = |grey: &Grey| {
+        grey.width.max(grey.height) > COMFORTABLE_PX && grey.width.min(grey.height) >= 2 * NARROWEST_PX
+    };
+    while levels.last().is_some_and(too_large) {
         levels.extend(levels.last().map(Grey::halved));
     }
     let comfortable = levels.len() - 1;
@@ -233,4 +238,20 @@ fn drop_sparse_side(grid: &mut Grid, columns: (i32, i32), rows: (i32, i32)) -> b
     };
     grid.retain(|place, _| if is_column { place.0 != at } else { place.1 != at });
     true
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_strip_shows_no_board_and_is_no_reason_to_panic() {
+        for (width, height) in [(32, 4000), (4000, 32), (63, 2000), (65, 7300), (32, 32)] {
+            let dark = |i: u32| (i % width / 8 + i / width / 8).is_multiple_of(2);
+            let levels = (0..width * height).map(|i| [if dark(i) { 20 } else { 230 }; 3]).collect();
+            let picture = Picture { path: "strip.png".into(), width, height, levels, white: 255 };
+            let sighting = find_board(&picture, BoardSize { columns: 9, rows: 6 });
+            assert!(!matches!(sighting, Sighting::Whole(_)), "{width}x{height}");
+        }
+    }
 }

@@ -119,6 +119,23 @@ mod tests {
     }
 
     #[test]
+    fn an_adjustment_that_has_not_come_to_rest_says_so() {
+        let lens = Lens::pinhole(640, 480, 1350.0);
+        let views: Vec<ViewCorners> = (0..8).map(|i| view(&lens, f64::from(i))).collect();
+        let layout = layout();
+        let mut data: Vec<ViewData> = views.iter().map(|view| data(&layout, view).unwrap()).collect();
+        let frame = Frame { layout: &layout, lens, lens_covariance: assumed(&lens), distance_m: 0.9 };
+        let mut dropped = vec![None; 8];
+        let mut adjusted = settle(&frame, &mut data, &mut dropped).unwrap();
+        let mut notes = |settled| {
+            adjusted.settled = settled;
+            report(&frame, &data, &adjusted, &dropped, String::new(), &|i| views[i].name.clone()).notes
+        };
+        assert!(notes(true).is_empty());
+        assert!(notes(false)[0].contains("not come to rest"));
+    }
+
+    #[test]
     fn what_cannot_be_is_refused_by_name() {
         let lens = Lens::pinhole(640, 480, 1350.0);
         let mut wrong = view(&lens, 1.0);

@@ -37,6 +37,16 @@ struct Vote {
     misfit: f64,
 }
 
+/// What all views together say of a square.
+pub(super) struct Blamed {
+    pub square: usize,
+    /// Where the views have it less where the file has it, metres, and the standard deviation of that.
+    pub by_m: DVec2,
+    sigma_m: f64,
+    /// How badly the others agree without it.
+    misfit: f64,
+}
+
 /// The square without which the others agree, if it is consistently elsewhere; `views` have all that looks like a square.
 pub(super) fn misplaced(frame: &Frame, views: &[ViewData]) -> Option<Misplaced> {
     let together: Vec<f64> = views
@@ -44,28 +54,35 @@ pub(super) fn misplaced(frame: &Frame, views: &[ViewData]) -> Option<Misplaced> 
         .filter(|view| view.squares.len() > FEWEST_SQUARES)
         .filter_map(|view| Some(mean(&solo(frame, view)?.1)))
         .collect();
-    let blamed = (0..frame.layout.centres_m.len()).filter_map(|square| {
-        let votes: Vec<Vote> = views.iter().filter_map(|view| vote(frame, view, square)).collect();
-        let misfit = median(&votes.iter().map(|vote| vote.misfit).collect::<Vec<_>>());
-        (votes.len() >= FEWEST_VIEWS).then_some((square, misfit, votes))
-    });
-    let mut blamed: Vec<_> = blamed.collect();
-    blamed.sort_by(|a, b| a.1.total_cmp(&b.1));
-    let mut blamed = blamed.into_iter();
-    let (square, misfit, votes) = blamed.next()?;
-    let is_certain = blamed.next().is_none_or(|(_, other, _)| other > CERTAIN * misfit);
-    let along = |axis: usize| {
-        let offsets: Vec<f64> = votes.iter().map(|vote| vote.by_m[axis]).collect();
-        let middle = median(&offsets);
-        let spread = median(&offsets.iter().map(|offset| (offset - middle).abs()).collect::<Vec<_>>());
-        // Of normal numbers: their standard deviation, and that of their median.
-        (middle, 1.2533 * spread / 0.6745 / (votes.len() as f64).sqrt())
-    };
-    let ((x, sigma_x), (y, sigma_y)) = (along(0), along(1));
-    let by_m = DVec2::new(x, y);
-    let least = (SURE_SIGMA * sigma_x.hypot(sigma_y)).max(LEAST_PART * frame.layout.size_m);
+    let mut blamed = blamed(frame, views).into_iter();
+    let Blamed { square, by_m, sigma_m, misfit } = blamed.next()?;
+    let is_certain = blamed.next().is_none_or(|other| other.misfit > CERTAIN * misfit);
+    let least = (SURE_SIGMA * sigma_m).max(LEAST_PART * frame.layout.size_m);
     let is_elsewhere = by_m.length() > least && BETTER * misfit < median(&together);
     is_elsewhere.then_some(Misplaced { square, by_m, is_certain })
+}
+
+/// The squares that enough views show, the one without which the others agree best first.
+pub(super) fn blamed(frame: &Frame, views: &[ViewData]) -> Vec<Blamed> {
+    let blamed = (0..frame.layout.centres_m.len()).filter_map(|square| {
+        let votes: Vec<Vote> = views.iter().filter_map(|view| vote(frame, view, square)).collect();
+        if votes.len() < FEWEST_VIEWS {
+            return None;
+        }
+        let misfit = median(&votes.iter().map(|vote| vote.misfit).collect::<Vec<_>>());
+        let along = |axis: usize| {
+            let offsets: Vec<f64> = votes.iter().map(|vote| vote.by_m[axis]).collect();
+            let middle = median(&offsets);
+            let spread = median(&offsets.iter().map(|offset| (offset - middle).abs()).collect::<Vec<_>>());
+            // Of normal numbers: their standard deviation, and that of their median.
+            (middle, 1.2533 * spread / 0.6745 / (votes.len() as f64).sqrt())
+        };
+        let ((x, sigma_x), (y, sigma_y)) = (along(0), along(1));
+        Some(Blamed { square, by_m: DVec2::new(x, y), sigma_m: sigma_x.hypot(sigma_y), misfit })
+    });
+    let mut blamed: Vec<Blamed> = blamed.collect();
+    blamed.sort_by(|a, b| a.misfit.total_cmp(&b.misfit));
+    blamed
 }
 
 fn vote(frame: &Frame, view: &ViewData, square: usize) -> Option<Vote> {

@@ -58,13 +58,19 @@ pub fn register(
     let angles = commanded(session, &views)?;
     let none = Squares { size_m: 0.01, ground_m: 0.0, centres_m: vec![] };
     let layout = options.squares.as_ref().unwrap_or(&none);
-    let frame = frame(session, options, layout, &views)?;
+    let (frame, is_assumed) = frame(session, options, layout, &views)?;
     let name = |index: usize| session.manifest.views[views[index]].name.clone();
 
     let done = AtomicUsize::new(0);
     let mut data: Vec<ViewData> = angles.iter().map(|&angles| at(angles)).collect();
     let mut dropped: Vec<Option<String>> = vec![None; views.len()];
     let mut notes = vec![];
+    if is_assumed {
+        notes.push(
+            "nobody has said how sure the lens is: it is taken to be as sure as one from a dozen boards; calibrate it with `rigel calibrate`, or give that file with --lens"
+                .into(),
+        );
+    }
     if options.squares.is_some() {
         notes.extend(layout.weakness()?);
         let witness = views.len().div_ceil(WITNESSES);
@@ -137,7 +143,9 @@ pub fn register(
     if options.squares.is_some() {
         refuse_wild(&adjusted, frame.distance_m)?;
     }
-    Ok(Registration { notes, ..report(&frame, &data, &adjusted, &dropped, made_from, &name) })
+    let mut registration = report(&frame, &data, &adjusted, &dropped, made_from, &name);
+    notes.append(&mut registration.notes);
+    Ok(Registration { notes, ..registration })
 }
 
 /// Refuses poses whose deviations are those of no rig: three squares always fit some pose, wherever the file has them.
@@ -209,12 +217,13 @@ fn at((pan_rad, tilt_rad): (f64, f64)) -> ViewData {
     ViewData { pan_rad, tilt_rad, ..ViewData::default() }
 }
 
+/// What the views share, and whether nobody has said how sure the lens is.
 fn frame<'a>(
     session: &Session,
     options: &RegisterOptions,
     layout: &'a Squares,
     views: &[usize],
-) -> Result<Frame<'a>> {
+) -> Result<(Frame<'a>, bool)> {
     let Some(&first) = views.first() else {
         return Err(Error::input(
             session.folder(),
@@ -239,10 +248,14 @@ fn frame<'a>(
     }
     let (lens, covariance) = match &options.lens {
         Some((lens, covariance)) => (*lens, covariance.as_ref()),
-        None => (*manifest.lens(first)?, None),
+        None => (*manifest.lens(first)?, manifest.lens_covariance.as_ref()),
     };
+    if options.squares.is_none() {
+        // Where squares are looked for every view's size is compared with the lens's; here one stands for all.
+        luminance(session, first, &lens)?;
+    }
     let lens_covariance = covariance.map_or_else(|| assumed(&lens), |c| SMatrix::from_fn(|i, j| c[i][j]));
-    Ok(Frame { layout, lens, lens_covariance, distance_m })
+    Ok((Frame { layout, lens, lens_covariance, distance_m }, covariance.is_none()))
 }
 
 /// How sure a lens is that somebody gave without saying: about as one calibrated with a dozen boards.
@@ -355,7 +368,13 @@ pub(super) fn report(
         rig: frame.rig(&adjusted.shared),
         deviations: DeviationSigma { pan_rad, tilt_rad, third_rad, shift_m: [x, y, z] },
         views: views.collect(),
-        notes: vec![],
+        notes: match adjusted.settled {
+            true => vec![],
+            false => vec![
+                "the adjustment had not come to rest when it was stopped: poses and their doubts are rough; check the squares file, or photograph more views"
+                    .into(),
+            ],
+        },
         dropped: reasons
             .filter_map(|(view, reason)| Some(DroppedView { name: name(view), reason: reason.clone()? }))
             .collect(),

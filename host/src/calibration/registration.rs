@@ -11,7 +11,6 @@ use crate::geometry::{Lens, Pose, PoseCovariance};
 use crate::session::Session;
 use crate::{Error, Result, file};
 
-const FORMAT: u32 = 1;
 const NAME: &str = "registration.toml";
 
 /// The poses of a session's views with how sure they are, and the views that have none.
@@ -86,13 +85,33 @@ impl RegisteredView {
     /// Standard deviation of the direction from the surface's origin to the camera, radians: root of the summed variances at
     /// right angles to it.
     pub fn direction_sigma_rad(&self) -> f64 {
-        let away = self.pose.centre_m.normalize();
-        let (a, b) = away.any_orthonormal_pair();
-        let variance = |along: DVec3| {
-            let shift = |i: usize, j: usize| self.covariance[3 + i][3 + j];
-            (0..9).map(|i| along[i / 3] * shift(i / 3, i % 3) * along[i % 3]).sum::<f64>()
-        };
-        (variance(a) + variance(b)).max(0.0).sqrt() / self.pose.centre_m.length()
+        let (a, b) = self.pose.centre_m.normalize().any_orthonormal_pair();
+        let variance = self.centre_covariance(a, a) + self.centre_covariance(b, b);
+        variance.max(0.0).sqrt() / self.pose.centre_m.length()
+    }
+
+    /// Of the centre's places along two axes.
+    fn centre_covariance(&self, p: DVec3, q: DVec3) -> f64 {
+        (0..9).map(|i| p[i / 3] * self.covariance[3 + i / 3][3 + i % 3] * q[i % 3]).sum()
+    }
+
+    /// How far that direction is from the one of another pose, the true one say: the angle, radians.
+    pub fn direction_error_rad(&self, truth: &Pose) -> f64 {
+        self.pose.centre_m.angle_between(truth.centre_m)
+    }
+
+    /// The same error in standard deviations, along the two axes of its covariance, across the direction.
+    pub fn direction_scores(&self, truth: &Pose) -> [f64; 2] {
+        let centre = self.pose.centre_m;
+        let (a, b) = centre.normalize().any_orthonormal_pair();
+        let error = truth.centre_m - centre;
+        let covariance = |p: DVec3, q: DVec3| self.centre_covariance(p, q);
+        let (aa, ab, bb) = (covariance(a, a), covariance(a, b), covariance(b, b));
+        let angle = 0.5 * (2.0 * ab).atan2(aa - bb);
+        [angle, angle + std::f64::consts::FRAC_PI_2].map(|angle| {
+            let along = a * angle.cos() + b * angle.sin();
+            error.dot(along) / covariance(along, along).sqrt()
+        })
     }
 
     /// Covariance (xx, xy, yy; pixels²) of where a point of the surface appears through `lens`; `None` where it does not.
@@ -122,7 +141,8 @@ impl RegisteredView {
 }
 
 impl Registration {
-    pub(super) const FORMAT: u32 = FORMAT;
+    /// The only version of the file so far.
+    pub(super) const FORMAT: u32 = 1;
 
     /// Where a session keeps it.
     pub fn path(session: &Session) -> PathBuf {
@@ -152,8 +172,8 @@ impl Registration {
         let text = std::fs::read_to_string(&path).map_err(Error::io("read", &path))?;
         let registration: Self = toml::from_str(&text)
             .map_err(|error| Error::input(&path, format!("is damaged ({})", error.message()), AGAIN))?;
-        if registration.format != FORMAT {
-            let what = format!("has format {}, this reads format {FORMAT}", registration.format);
+        if registration.format != Self::FORMAT {
+            let what = format!("has format {}, this reads format {}", registration.format, Self::FORMAT);
             return Err(Error::input(&path, what, AGAIN));
         }
         if registration.made_from != made_from(session)? {

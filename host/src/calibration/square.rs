@@ -65,8 +65,8 @@ struct Pixel {
     weight: f64,
 }
 
-/// Measures the square whose corners should be about at `expected`; `ground_from` are the corners of the even ground
-/// around it there.
+/// Measures the square whose corners should be about at `expected`; `ground` are the corners of the even ground around it
+/// there.
 pub(super) fn measure_square(
     picture: &Luminance,
     square: usize,

@@ -8,6 +8,9 @@ use crate::{Error, Result};
 
 /// Side of the squares over which a flat field is averaged, pixels.
 const SQUARE: usize = 8;
+/// Rounds of the fit; it has come to rest when the last one changes no pixel by more than this, relative.
+const ROUNDS: usize = 12;
+const SETTLED: f64 = 1e-3;
 
 /// Relative illumination: exp(Σ c_k r^(2k+2)), 1 at the centre, r being the distance from the centre in units of half
 /// the picture's diagonal. The exponential keeps it positive however it is extrapolated.
@@ -25,6 +28,10 @@ pub struct Vignetting {
     pub coefficients: [f64; 3],
     /// Root mean square of what the model leaves of the flat fields, relative, over squares of 8 pixels.
     pub residual: f64,
+    /// Covariance of the coefficients and of the centre, as what is left tells it.
+    pub covariance: [[f64; 5]; 5],
+    /// Whether the fit came to rest.
+    pub settled: bool,
 }
 
 impl Vignetting {
@@ -61,7 +68,7 @@ impl Vignetting {
             }
         }
         let fitted = fit(&squares, flats.len(), first);
-        if fitted.residual > 0.05 {
+        if fitted.residual.is_nan() || fitted.residual > 0.05 {
             let what = format!(
                 "the flat fields differ by {:.1} % from a fall-off about a centre",
                 100.0 * fitted.residual
@@ -73,13 +80,28 @@ impl Vignetting {
 
     /// Relative illumination at a pixel, 1 at the centre of the fall-off.
     pub fn at(&self, x: f64, y: f64) -> f64 {
-        let half = 0.25 * (f64::from(self.width).powi(2) + f64::from(self.height).powi(2));
-        let r2 = ((x - self.centre_x).powi(2) + (y - self.centre_y).powi(2)) / half;
-        let [a, b, c] = self.coefficients;
-        (r2 * (a + r2 * (b + r2 * c))).exp()
+        self.ln_at(x, y).0.exp()
     }
 
-    /// Divides a view's radiance by the illumination, and its variance by the square.
+    /// How sure that is: its variance, relative.
+    pub fn relative_variance_at(&self, x: f64, y: f64) -> f64 {
+        let (_, by) = self.ln_at(x, y);
+        let sum = |i: usize| (0..5).map(|j| by[i] * self.covariance[i][j] * by[j]).sum::<f64>();
+        (0..5).map(sum).sum::<f64>().max(0.0)
+    }
+
+    /// The logarithm of the illumination, and how it moves with the coefficients and the centre.
+    fn ln_at(&self, x: f64, y: f64) -> (f64, [f64; 5]) {
+        let half = half_diagonal_squared(self.width, self.height);
+        let (dx, dy) = (x - self.centre_x, y - self.centre_y);
+        let r2 = (dx * dx + dy * dy) / half;
+        let [a, b, c] = self.coefficients;
+        let by_r2 = a + r2 * (2.0 * b + r2 * 3.0 * c);
+        let by = [r2, r2 * r2, r2 * r2 * r2, -2.0 * dx / half * by_r2, -2.0 * dy / half * by_r2];
+        (r2 * (a + r2 * (b + r2 * c)), by)
+    }
+
+    /// Divides a view's radiance by the illumination, and its variance by the square; the illumination's own doubt is added.
     ///
     /// # Errors
     /// [`Error::Request`] where the view has another size than the flat fields.
@@ -87,14 +109,22 @@ impl Vignetting {
         self.correct_by(&self.gains(), image)
     }
 
-    /// What each pixel is multiplied by.
-    pub(crate) fn gains(&self) -> Vec<f32> {
+    /// What each pixel is multiplied by, and the relative variance of that.
+    pub(crate) fn gains(&self) -> Vec<[f32; 2]> {
         let pixels = (0..self.height).flat_map(|y| (0..self.width).map(move |x| (x, y)));
-        pixels.map(|(x, y)| 1.0 / self.at(x.into(), y.into()) as f32).collect()
+        let mut doubt = 0.0;
+        let gain = |(x, y): (u32, u32)| {
+            // It varies slowly.
+            if (x as usize).is_multiple_of(SQUARE) {
+                doubt = self.relative_variance_at(x.into(), y.into()) as f32;
+            }
+            [1.0 / self.at(x.into(), y.into()) as f32, doubt]
+        };
+        pixels.map(gain).collect()
     }
 
     /// [`Vignetting::correct`] by gains that were found before.
-    pub(crate) fn correct_by(&self, gains: &[f32], image: &mut RadianceImage) -> Result<()> {
+    pub(crate) fn correct_by(&self, gains: &[[f32; 2]], image: &mut RadianceImage) -> Result<()> {
         if (self.width, self.height) != (image.width, image.height) {
             return Err(Error::request(
                 format!(
@@ -104,12 +134,21 @@ impl Vignetting {
                 "photograph flat fields at the size of the views",
             ));
         }
-        for ((radiance, variance), gain) in image.radiance.iter_mut().zip(&mut image.variance).zip(gains) {
-            radiance.iter_mut().for_each(|r| *r *= gain);
-            variance.iter_mut().for_each(|v| *v *= gain * gain);
+        for ((radiance, variance), [gain, doubt]) in
+            image.radiance.iter_mut().zip(&mut image.variance).zip(gains)
+        {
+            for (r, v) in radiance.iter_mut().zip(variance) {
+                *r *= gain;
+                *v = *v * gain * gain + doubt * *r * *r;
+            }
         }
         Ok(())
     }
+}
+
+/// The unit of r².
+fn half_diagonal_squared(width: u32, height: u32) -> f64 {
+    0.25 * (f64::from(width).powi(2) + f64::from(height).powi(2))
 }
 
 /// The mean exposure of a square in one channel of one flat field, which share a gain.
@@ -152,7 +191,7 @@ fn gather(flat: &Picture, index: usize, response: &Response, noise: &NoiseModel,
 /// Gauss-Newton over the centre, the three coefficients and a gain for every channel of every flat field.
 fn fit(squares: &[Square], flats: usize, picture: &Picture) -> Vignetting {
     let (width, height) = (f64::from(picture.width), f64::from(picture.height));
-    let half = 0.25 * (width * width + height * height);
+    let half = half_diagonal_squared(picture.width, picture.height);
     let mut v = Vignetting {
         width: picture.width,
         height: picture.height,
@@ -160,29 +199,21 @@ fn fit(squares: &[Square], flats: usize, picture: &Picture) -> Vignetting {
         centre_y: (height - 1.0) / 2.0,
         coefficients: [0.0; 3],
         residual: 0.0,
+        covariance: [[0.0; 5]; 5],
+        settled: false,
     };
     let unknowns = 5 + 3 * flats;
     let mut gains = vec![0.0; 3 * flats];
     // The first step finds the coefficients; only then does the centre mean anything.
-    for _ in 0..12 {
+    for _ in 0..ROUNDS {
         let (mut matrix, mut right) =
             (DMatrix::<f64>::zeros(unknowns, unknowns), DVector::<f64>::zeros(unknowns));
         let mut squared = 0.0;
         for s in squares {
-            let (dx, dy) = (s.x - v.centre_x, s.y - v.centre_y);
-            let r2 = (dx * dx + dy * dy) / half;
-            let [a, b, c] = v.coefficients;
-            let by_r2 = a + r2 * (2.0 * b + r2 * 3.0 * c);
-            let residual = s.ln_exposure - gains[s.gain] - r2 * (a + r2 * (b + r2 * c));
+            let (ln_illumination, [a, b, c, x, y]) = v.ln_at(s.x, s.y);
+            let residual = s.ln_exposure - gains[s.gain] - ln_illumination;
             squared += residual * residual;
-            let row = [
-                (0, r2),
-                (1, r2 * r2),
-                (2, r2 * r2 * r2),
-                (3, -2.0 * dx / half * by_r2),
-                (4, -2.0 * dy / half * by_r2),
-                (5 + s.gain, 1.0),
-            ];
+            let row = [(0, a), (1, b), (2, c), (3, x), (4, y), (5 + s.gain, 1.0)];
             for (i, p) in row {
                 right[i] += p * residual;
                 for (k, q) in row {
@@ -195,19 +226,30 @@ fn fit(squares: &[Square], flats: usize, picture: &Picture) -> Vignetting {
         for (i, faint) in [(0, 1e-9), (1, 1e-9), (2, 1e-9), (3, 1e-6), (4, 1e-6)] {
             matrix[(i, i)] += faint * squares.len() as f64 * if i < 3 { 1.0 } else { 1.0 / half };
         }
-        let Some(step) = matrix.cholesky().map(|factor| factor.solve(&right)) else { break };
+        let Some(factor) = matrix.cholesky() else { break };
+        let (step, inverse) = (factor.solve(&right), factor.inverse());
+        v.covariance =
+            std::array::from_fn(|i| std::array::from_fn(|k| v.residual * v.residual * inverse[(i, k)]));
+        // What the step changes half a diagonal away, where the fall-off is felt most.
+        let by_r2 = v.coefficients.iter().zip([1.0, 2.0, 3.0]).map(|(c, k)| k * c).sum::<f64>();
+        let change = step.iter().take(3).map(|s| s.abs()).sum::<f64>()
+            + 2.0 * by_r2.abs() * step[3].hypot(step[4]) / half.sqrt();
         for k in 0..3 {
             v.coefficients[k] += step[k];
         }
         v.centre_x = (v.centre_x + step[3]).clamp(0.0, width);
         v.centre_y = (v.centre_y + step[4]).clamp(0.0, height);
         gains.iter_mut().zip(step.iter().skip(5)).for_each(|(gain, s)| *gain += s);
+        v.settled = change < SETTLED;
     }
     v
 }
 
 #[cfg(test)]
 mod tests {
+    use rand::rngs::StdRng;
+    use rand::{Rng, SeedableRng};
+
     use super::*;
 
     const WIDTH: u32 = 160;
@@ -239,6 +281,8 @@ mod tests {
             centre_y: 57.0,
             coefficients: [-0.4, -0.15, 0.02],
             residual: 0.0,
+            covariance: [[0.0; 5]; 5],
+            settled: true,
         }
     }
 
@@ -250,7 +294,7 @@ mod tests {
     #[test]
     fn a_known_fall_off_is_found_from_flats_of_unlike_exposure() {
         let found = fitted(&[flat(&truth(), 2.0), flat(&truth(), 1.1)]).unwrap();
-        assert!(found.residual < 0.01);
+        assert!(found.residual < 0.01 && found.settled);
         assert!((found.centre_x - 84.0).abs() < 1.0 && (found.centre_y - 57.0).abs() < 1.0, "{found:?}");
         for (x, y) in [(0.0, 0.0), (159.0, 0.0), (80.0, 60.0), (10.0, 110.0), (84.0, 57.0)] {
             assert!((found.at(x, y) / truth().at(x, y) - 1.0).abs() < 0.01, "({x}, {y})");
@@ -291,5 +335,50 @@ mod tests {
                 .to_string()
                 .contains("saturated")
         );
+    }
+
+    #[test]
+    fn flats_that_stand_for_no_exposure_are_refused_although_their_residual_is_no_number() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("response.csv");
+        // Nothing up to level 120.
+        let line = |z: u32| format!("{z},{0},{0},{0}\n", if z > 120 { f64::from(z) / 128.0 } else { 0.0 });
+        std::fs::write(&path, (0..256).fold(String::from("level,R,G,B\n"), |text, z| text + &line(z)))
+            .unwrap();
+        let (response, even) = (Response::read_csv(&path).unwrap(), flat(&truth(), 0.2));
+        let noise = NoiseModel { dark_level: [0; 3], ..NoiseModel::assumed(&response) };
+        assert!(Vignetting::fit(&[even], &response, &noise).is_err());
+    }
+
+    #[test]
+    fn the_doubt_of_the_flats_is_in_the_radiance() {
+        let mut random = StdRng::seed_from_u64(3);
+        let (mut scores, mut stated) = (vec![], 0.0);
+        for _ in 0..20 {
+            let mut noisy = flat(&truth(), 1.5);
+            for level in noisy.levels.iter_mut().flatten() {
+                *level = level.saturating_add_signed(random.random_range(-12..=12));
+            }
+            let found = fitted(&[noisy]).unwrap();
+            let pixels = (WIDTH * HEIGHT) as usize;
+            let mut image = RadianceImage {
+                width: WIDTH,
+                height: HEIGHT,
+                radiance: vec![[1.0; 3]; pixels],
+                variance: vec![[0.0; 3]; pixels],
+                mask: vec![0; pixels],
+            };
+            found.correct(&mut image).unwrap();
+            for (x, y) in [(0, 0), (159, 0), (0, 119), (159, 119), (20, 60)] {
+                let i = (y * WIDTH + x) as usize;
+                let sigma = image.variance[i][1].sqrt();
+                let off = image.radiance[i][1] - 1.0 / truth().at(f64::from(x), f64::from(y)) as f32;
+                scores.push(f64::from(off / sigma));
+                stated += f64::from(sigma / image.radiance[i][1]) / 100.0;
+            }
+        }
+        let spread = (scores.iter().map(|z| z * z).sum::<f64>() / scores.len() as f64).sqrt();
+        println!("stated {:.3} % on average; scores spread by {spread:.2}", 100.0 * stated);
+        assert!((0.6..1.6).contains(&spread), "{spread}");
     }
 }

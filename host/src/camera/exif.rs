@@ -1,13 +1,16 @@
 //! What a photograph's EXIF block says of its exposure, and the smallest block that says it.
 
 use std::io::BufReader;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use exif::{DateTime, Field, In, Rational, Reader, Tag, Value};
 
 use crate::calendar::{civil, days};
 use crate::{Error, Result};
+
+/// Focal lengths that differ by less, relative, are the same.
+const SAME_ZOOM: f64 = 1e-3;
 
 /// What a photograph says of its exposure; `None` for what it does not say.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -52,18 +55,25 @@ pub fn read(path: &Path) -> Result<Exif> {
     Ok(Exif { exposure_s, taken, focal_length_mm })
 }
 
-/// The focal length that a photograph's EXIF block tells, metres; `None` where it tells none.
-///
-/// # Errors
-/// [`Error::Io`] when the file cannot be opened.
-pub fn focal_length_m(path: &Path) -> Result<Option<f64>> {
-    let file = std::fs::File::open(path).map_err(Error::io("read", path))?;
-    let Ok(block) = Reader::new().read_from_container(&mut BufReader::new(file)) else { return Ok(None) };
-    let millimetres = match block.get_field(Tag::FocalLength, In::PRIMARY).map(|field| &field.value) {
-        Some(Value::Rational(lengths)) => lengths.first().map(Rational::to_f64),
-        _ => None,
-    };
-    Ok(millimetres.filter(|length| length.is_finite() && *length > 0.0).map(|length| 1e-3 * length))
+/// The first of a lens's photographs that tells a focal length: a zoom that was touched makes every lens and vignetting wrong,
+/// so the others must tell the same, as far as they tell it.
+#[derive(Debug, Default)]
+pub struct OneFocalLength(Option<(PathBuf, f64)>);
+
+impl OneFocalLength {
+    /// Takes another photograph and what it tells.
+    ///
+    /// # Errors
+    /// [`Error::Input`] naming it where it was taken at another focal length.
+    pub fn admit(&mut self, path: &Path, length_mm: Option<f64>) -> Result<()> {
+        let Some(length_mm) = length_mm else { return Ok(()) };
+        let (first, before_mm) = self.0.get_or_insert_with(|| (path.to_owned(), length_mm));
+        if (length_mm / *before_mm - 1.0).abs() <= SAME_ZOOM {
+            return Ok(());
+        }
+        let what = format!("was taken at {length_mm:.1} mm, but {} at {before_mm:.1} mm", first.display());
+        Err(Error::input(path, what, "use photographs of one focal length, and do not zoom"))
+    }
 }
 
 /// An EXIF block that tells an exposure time and, if known, when the exposure began, in UTC to a millisecond.
@@ -170,6 +180,19 @@ mod tests {
             std::fs::write(file.path(), block.into_inner()).unwrap();
             assert_eq!(read(file.path()).unwrap().focal_length_mm, expected);
         }
+    }
+
+    #[test]
+    fn a_zoom_is_noticed_although_the_first_photograph_does_not_tell() {
+        let mut focal = OneFocalLength::default();
+        focal.admit(Path::new("1.jpg"), None).unwrap();
+        focal.admit(Path::new("2.jpg"), Some(24.0)).unwrap();
+        focal.admit(Path::new("3.jpg"), None).unwrap();
+        let message = focal.admit(Path::new("4.jpg"), Some(50.0)).unwrap_err().to_string();
+        assert!(
+            ["4.jpg", "50.0 mm", "2.jpg", "24.0 mm"].iter().all(|name| message.contains(name)),
+            "{message}"
+        );
     }
 
     #[test]

@@ -64,16 +64,18 @@ impl ViewSampler<'_> {
         let n = (nx * ny) as f32;
         // The positions are about a pixel apart, so their errors are nearly independent.
         let noise = variance / (n * n);
-        let blur = self.place.map_or(0.0, |place| {
-            let [xx, xy, yy] = place.at(self.texels, column, row);
-            // As the noise, the mean over the channels.
-            gradient
-                .iter()
-                .map(|sum| sum / n)
-                .map(|g| g.x * g.x * xx + 2.0 * g.x * g.y * xy + g.y * g.y * yy)
-                .sum::<f32>()
-                / 3.0
-        });
+        let blur = match self.place {
+            None => 0.0,
+            Some(place) => {
+                let [xx, xy, yy] = place.at(self.texels, column, row)?;
+                // As the noise, the mean over the channels.
+                let of = |sum: Vec2| {
+                    let g = sum / n;
+                    g.x * g.x * xx + 2.0 * g.x * g.y * xy + g.y * g.y * yy
+                };
+                gradient.map(of).iter().sum::<f32>() / 3.0
+            }
+        };
         Some(Sample { radiance: radiance.map(|sum| sum / n), sigma: (noise + blur.max(0.0)).sqrt() })
     }
 

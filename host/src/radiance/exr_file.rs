@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use exr::meta::MetaData;
+use exr::meta::header::Header;
 use exr::prelude::{
     AnyChannel, AnyChannels, Blocks, Compression, Encoding, FlatSamples, Image, Layer, LayerAttributes,
     LineOrder, SmallVec, WritableImage, attribute::AttributeValue, read_all_flat_layers_from_file,
@@ -25,7 +27,7 @@ const ENCODING: Encoding = Encoding {
 
 impl RadianceImage {
     /// Writes the view as OpenEXR: 32-bit floats, the mask as unsigned integers, uncompressed.
-    /// `response` names the response that fixed the unit (a file name, or "srgb"); it is kept as an attribute.
+    /// `response` says in words which response fixed the unit, and is kept as an attribute.
     ///
     /// # Errors
     /// [`Error::Io`] where the file cannot be written; what stood there before then stays.
@@ -41,7 +43,7 @@ impl RadianceImage {
 
         let software_name = Some(concat!("rigel ", env!("CARGO_PKG_VERSION")).into());
         let mut attributes = LayerAttributes { software_name, ..Default::default() };
-        let unit = "what reaches the middle level of the response in one second; variance in its square";
+        let unit = "what makes the response's exposure 1 in one second (its middle level, or a number 1); variance in its square";
         for (name, value) in [
             (KIND, AttributeValue::I32(VERSION)),
             ("rigelUnit", AttributeValue::Text(unit.into())),
@@ -65,6 +67,13 @@ impl RadianceImage {
                 other => Error::io("write", path)(std::io::Error::other(other.to_string())),
             })
         })
+    }
+
+    /// Whether a file says that it is Rigel's radiance, be it damaged or newer.
+    pub(crate) fn is_at(path: &Path) -> bool {
+        let names_itself =
+            |header: &Header| header.own_attributes.other.iter().any(|(name, _)| name.eq(KIND));
+        MetaData::read_from_file(path, false).is_ok_and(|data| data.headers.iter().any(names_itself))
     }
 
     /// Reads what [`RadianceImage::write_exr`] wrote, bit by bit the same.

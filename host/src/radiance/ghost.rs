@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 
 use rayon::prelude::*;
 
-use super::weights::{Channel, Measured, Says, TOLERANCE};
+use super::weights::{AGREE, Channel, Measured, Says, is_filling};
 use super::{Mask, RadianceImage};
 
 /// While a picture is merged: the photographs of this pixel differ by more than noise.
@@ -23,8 +23,6 @@ const SURROUNDED: usize = 5;
 const CELL: usize = 4;
 const MEAN_REACH: usize = 4;
 const COHERENT: f32 = 0.05;
-/// How many standard deviations two photographs may differ by and still agree.
-const AGREE: f32 = 3.0;
 
 /// Turns the pixels marked [`ODD`] into ghosts or forgives them. `pictures` and `channels`: the longest exposure first.
 pub(super) fn settle(image: &mut RadianceImage, pictures: &[&[[u16; 3]]], channels: &[Channel; 3]) {
@@ -74,25 +72,34 @@ fn agreed(i: usize, pictures: &[&[[u16; 3]]], channels: &[Channel; 3]) -> [Measu
     let levels: Vec<[u16; 3]> = pictures.iter().map(|picture| picture[i]).collect();
     let (agreeing, most) = majority(&levels, channels);
     [0, 1, 2].map(|c| {
-        let measured = channels[c].careful(agreeing.iter().copied(), |j| levels[j][c]);
+        let measured = channels[c].careful(agreeing.iter().copied(), |j| levels[j][c], |_| true);
         let variance = if most { measured.variance } else { f32::INFINITY };
         Measured { variance, ..measured }
     })
 }
 
 /// Whether photographs differ in their means over some pixels: what JPEG adds at edges goes up and down and leaves the
-/// mean alone, what moves does not. Photographs next to each other in time are compared over the pixels that both measure.
+/// mean alone, what moves does not. Photographs next to each other in time are compared over the pixels that both measure, or
+/// that one measures and the other bounds: a bound that is kept says nothing, one that is broken says by how much at least.
 fn differ(near: &[usize], pictures: &[&[[u16; 3]]], channels: &[Channel; 3]) -> bool {
     let pair = |a: usize, b: usize, c: usize| {
         let (mut sums, mut variance, mut count) = ([0.0; 2], 0.0, 0);
-        for &i in near {
-            if let (Says::Value(x, vx), Says::Value(y, vy)) =
-                (channels[c].says(a, pictures[a][i][c]), channels[c].says(b, pictures[b][i][c]))
-            {
-                sums = [sums[0] + x, sums[1] + y];
-                variance += vx + vy;
-                count += 1;
-            }
+        for &i in near.iter().filter(|&&i| ![a, b].iter().any(|&j| is_filling(channels, pictures[j][i]))) {
+            let (one, other) =
+                (channels[c].says(a, pictures[a][i][c]), channels[c].says(b, pictures[b][i][c]));
+            let kept = one.agrees_with(other);
+            let (x, y, v) = match (one, other) {
+                (Says::Value(x, vx), Says::Value(y, vy)) => (x, y, vx + vy),
+                (Says::Value(x, v), Says::AtLeast(y) | Says::AtMost(y)) => (x, if kept { x } else { y }, v),
+                (Says::AtLeast(x) | Says::AtMost(x), Says::Value(y, v)) => (if kept { y } else { x }, y, v),
+                (Says::AtLeast(x), Says::AtMost(y)) | (Says::AtMost(x), Says::AtLeast(y)) if !kept => {
+                    (x, y, 0.0)
+                }
+                _ => continue,
+            };
+            sums = [sums[0] + x, sums[1] + y];
+            variance += v;
+            count += 1;
         }
         2 * count > near.len()
             && (sums[0] - sums[1]).abs() > AGREE * variance.sqrt() + COHERENT * sums[0].min(sums[1])
@@ -109,7 +116,7 @@ fn majority(levels: &[[u16; 3]], channels: &[Channel; 3]) -> (Vec<usize>, bool) 
         .collect();
     let measures = |j: &usize| says[*j].iter().any(|s| matches!(s, Says::Value(..)));
     let agreeing = |a: usize| -> Vec<usize> {
-        (0..says.len()).filter(|&b| (0..3).all(|c| agree(says[a][c], says[b][c]))).collect()
+        (0..says.len()).filter(|&b| (0..3).all(|c| says[a][c].agrees_with(says[b][c]))).collect()
     };
     let count = |set: &[usize]| set.iter().filter(|j| measures(j)).count();
     // Of sets of one size that of the longest exposure, which has the least noise.
@@ -117,21 +124,6 @@ fn majority(levels: &[[u16; 3]], channels: &[Channel; 3]) -> (Vec<usize>, bool) 
         (0..says.len()).filter(measures).map(agreeing).rev().max_by_key(|set| count(set)).unwrap_or_default();
     let (agree, all) = (count(&best), (0..says.len()).filter(measures).count());
     (best, agree >= 2 && 2 * agree > all)
-}
-
-fn agree(a: Says, b: Says) -> bool {
-    let slack = |value: f32, variance: f32| AGREE * variance.sqrt() + TOLERANCE as f32 * value;
-    match (a, b) {
-        (Says::Value(a, va), Says::Value(b, vb)) => (a - b).abs() <= slack(a.min(b), va + vb),
-        (Says::Value(value, variance), Says::AtLeast(bound))
-        | (Says::AtLeast(bound), Says::Value(value, variance)) => value + slack(value, variance) >= bound,
-        (Says::Value(value, variance), Says::AtMost(bound))
-        | (Says::AtMost(bound), Says::Value(value, variance)) => value - slack(value, variance) <= bound,
-        (Says::AtLeast(least), Says::AtMost(most)) | (Says::AtMost(most), Says::AtLeast(least)) => {
-            least <= most
-        }
-        _ => true,
-    }
 }
 
 #[cfg(test)]
@@ -225,6 +217,35 @@ mod tests {
         for &i in &inside {
             assert_eq!(merged.mask[i], RadianceImage::GHOST);
             assert!(merged.variance[i].iter().all(|v| v.is_infinite()));
+        }
+    }
+
+    #[test]
+    fn an_object_that_saturates_or_blackens_one_photograph_is_a_ghost() {
+        let (_, curve) = CURVES[0];
+        let times = [1.0, 0.5];
+        let shoot = |radiance: f64, seed| {
+            simulated::shoot(&[[radiance; 3]; WIDTH * 192], WIDTH, &times, curve, 1.0, seed)
+        };
+        let (response, noise) =
+            learnt(&simulated::shoot(&simulated::scene(WIDTH, 192, 1), WIDTH, &times, curve, 1.0, 5));
+        // The surface, the object, and the photograph that the object is in: saturated, black, and a hand before a highlight that the
+        // longer photograph saturates.
+        for (surface, object, photograph) in
+            [(0.2, 50.0, 0), (0.2, 0.0, 1), (0.2, 0.0, 0), (1.3, 0.2, 1), (50.0, 0.0, 0)]
+        {
+            let (moved, inside) = with_a_patch(&shoot(surface, 1), &shoot(object, 2), photograph);
+            let merged = merge(&moved, &response, &noise).unwrap();
+            let found = inside.iter().filter(|&&i| merged.mask[i] & RadianceImage::GHOST != 0).count();
+            assert!(found * 100 > inside.len() * 95, "{surface} {object} {photograph}: {found}");
+            for &i in inside.iter().filter(|&&i| merged.mask[i] & RadianceImage::GHOST != 0) {
+                assert!(
+                    merged.variance[i].iter().all(|v| v.is_infinite()),
+                    "{surface} {object} {photograph}"
+                );
+            }
+            let outside = part(&merged.mask) * merged.mask.len() as f64 - found as f64;
+            assert!(outside <= 60.0, "{surface} {object} {photograph}: {outside}");
         }
     }
 }

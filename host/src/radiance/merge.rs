@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use super::ghost;
-use super::weights::{Channel, Measured};
+use super::weights::{Channel, Measured, is_filling};
 use super::{NoiseModel, RadianceImage, Response, Stack};
 use crate::{Error, Result};
 
@@ -51,7 +51,7 @@ pub fn merge(stack: &Stack, response: &Response, noise: &NoiseModel) -> Result<R
                 let measured = channels[c].quick(level, &mut longest[c]);
                 (radiance[x][c], variance[x][c]) = measured.unwrap_or_else(|| {
                     let Measured { radiance, variance, flags, agrees } =
-                        channels[c].careful(0..times.len(), level);
+                        channels[c].careful(0..times.len(), level, |j| !is_filling(&channels, levels[j][x]));
                     mask[x] |= flags | if agrees { 0 } else { ghost::ODD };
                     (radiance, variance)
                 });

@@ -95,7 +95,10 @@ impl Samples {
 
     /// `noise` with one channel's part as it is found.
     fn noise_of(&self, channel: usize, response: &Response, mut noise: NoiseModel) -> NoiseModel {
-        if let Some(limit) = saturation(self, response, channel, noise.saturated_level[channel]) {
+        // Where the curve is a guess, what it says of white is one too.
+        if !response.is_assumed()
+            && let Some(limit) = saturation(self, response, channel, noise.saturated_level[channel])
+        {
             noise.saturated_level[channel] = limit;
         }
         // What is too dark to be looked at depends on the noise: once more with what was found.
@@ -228,12 +231,13 @@ fn saturation(samples: &Samples, response: &Response, channel: usize, assumed: u
     }
     let first = (bin_of(lowest)..bins).rev().find(|&k| seen[k] >= 16 && clipped[k] * 10 < seen[k])?;
     // The level after the last good one, but never above what is assumed without data.
-    let level = (first + 1) * (white + 1) / bins;
-    Some((level as u16).min(assumed))
+    let level = ((first + 1) * (white + 1) / bins).min(usize::from(assumed));
+    Some(level as u16)
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::samples::{Block, Bracket};
     use super::super::simulated::{self, CURVES};
     use super::*;
 
@@ -284,5 +288,22 @@ mod tests {
             "{:?}",
             noise.saturated_level
         );
+    }
+
+    #[test]
+    fn sixteen_bits_that_never_clip_are_not_all_saturated() {
+        let response = Response::linear(u16::MAX);
+        let block = |long: u16| Block {
+            stack: 0,
+            levels: vec![[[long; 3]; SIDE * SIDE], [[long / 2; 3]; SIDE * SIDE]],
+        };
+        let samples = Samples {
+            blocks: vec![block(65_500), block(65_400)],
+            stacks: vec![Bracket { paths: vec!["a.png".into(), "b.png".into()], exposure_s: vec![1.0, 0.5] }],
+            white: u16::MAX,
+            bracketed: true,
+        };
+        let assumed = NoiseModel::assumed(&response).saturated_level;
+        assert_eq!(samples.noise(&response).saturated_level, assumed);
     }
 }

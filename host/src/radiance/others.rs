@@ -67,7 +67,11 @@ pub fn debevec_response(stack: &Stack, pixels: usize, smoothness: f64) -> Result
 
 /// Radiance after Debevec and Malik (equation 6): the mean of ln exposure - ln time, weighted by level: with [`hat`], as they
 /// wrote, or with [`rise`].
-pub fn debevec_merge(stack: &Stack, response: &Response, weight: fn(usize) -> f64) -> Vec<[f32; 3]> {
+///
+/// # Errors
+/// [`Error::Request`] for photographs or a response that are not 8 bits deep.
+pub fn debevec_merge(stack: &Stack, response: &Response, weight: fn(usize) -> f64) -> Result<Vec<[f32; 3]>> {
+    check_depth(&[stack.white(), response.white()])?;
     let weights: Vec<f32> = (0..LEVELS).map(|level| weight(level) as f32).collect();
     let logs =
         [0, 1, 2].map(|c| response.exposure(c).iter().map(|x| x.max(1e-12).ln()).collect::<Vec<f32>>());
@@ -81,7 +85,7 @@ pub fn debevec_merge(stack: &Stack, response: &Response, weight: fn(usize) -> f6
         }
         (sum / total).exp()
     };
-    (0..stack.pictures[0].levels.len()).map(|place| [0, 1, 2].map(|c| mean(place, c))).collect()
+    Ok((0..stack.pictures[0].levels.len()).map(|place| [0, 1, 2].map(|c| mean(place, c))).collect())
 }
 
 /// Response after Robertson, Borman and Stevenson (equations 9 and 11 in turn, from a straight line, until the curve changes
@@ -126,7 +130,11 @@ pub fn robertson_response(stack: &Stack) -> Result<Response> {
 }
 
 /// Radiance after Robertson, Borman and Stevenson (equation 9): sum of w t exposure over sum of w t squared.
-pub fn robertson_merge(stack: &Stack, response: &Response) -> Vec<[f32; 3]> {
+///
+/// # Errors
+/// [`Error::Request`] for photographs or a response that are not 8 bits deep.
+pub fn robertson_merge(stack: &Stack, response: &Response) -> Result<Vec<[f32; 3]>> {
+    check_depth(&[stack.white(), response.white()])?;
     let weights: Vec<f32> = (0..LEVELS).map(|level| bell(level) as f32).collect();
     let mean = |place: usize, c: usize| {
         let (mut sum, mut total) = (0.0, 1e-12);
@@ -137,13 +145,18 @@ pub fn robertson_merge(stack: &Stack, response: &Response) -> Vec<[f32; 3]> {
         }
         sum / total
     };
-    (0..stack.pictures[0].levels.len()).map(|place| [0, 1, 2].map(|c| mean(place, c))).collect()
+    Ok((0..stack.pictures[0].levels.len()).map(|place| [0, 1, 2].map(|c| mean(place, c))).collect())
+}
+
+fn check_depth(whites: &[u16]) -> Result<()> {
+    match whites.iter().all(|&white| usize::from(white) + 1 == LEVELS) {
+        true => Ok(()),
+        false => Err(Error::request("the published methods know 8 bits only", "use Rigel's own")),
+    }
 }
 
 fn check(stack: &Stack) -> Result<()> {
-    if usize::from(stack.white()) + 1 != LEVELS {
-        return Err(Error::request("the published methods know 8 bits only", "use Rigel's own"));
-    }
+    check_depth(&[stack.white()])?;
     if stack.exposure_s.iter().all(|t| *t == stack.exposure_s[0]) {
         return Err(Error::request("the exposure times are all the same", "photograph a bracket"));
     }
@@ -185,8 +198,8 @@ mod tests {
         let debevec = debevec_response(&stack, 300, 30.0).unwrap();
         let robertson = robertson_response(&stack).unwrap();
         let (d, r) = (
-            error(&debevec_merge(&stack, &debevec, hat), &scene),
-            error(&robertson_merge(&stack, &robertson), &scene),
+            error(&debevec_merge(&stack, &debevec, hat).unwrap(), &scene),
+            error(&robertson_merge(&stack, &robertson).unwrap(), &scene),
         );
         println!("Debevec {:.2} %, Robertson {:.2} %", 100.0 * d, 100.0 * r);
         assert!(d < 0.03 && r < 0.03, "{d} {r}");
@@ -210,5 +223,9 @@ mod tests {
         let mut deep = simulated::shoot(&[[0.1; 3]; 64], 8, &[1.0, 2.0], CURVES[0].1, 1.0, 1);
         deep.pictures.iter_mut().for_each(|p| p.white = u16::MAX);
         assert!(robertson_response(&deep).unwrap_err().to_string().contains("8 bits"));
+        for response in [Response::srgb(255), Response::srgb(u16::MAX)] {
+            assert!(debevec_merge(&deep, &response, hat).unwrap_err().to_string().contains("8 bits"));
+            assert!(robertson_merge(&deep, &response).unwrap_err().to_string().contains("8 bits"));
+        }
     }
 }

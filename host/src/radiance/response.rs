@@ -9,6 +9,9 @@ use super::rows::{KNOTS, knot_of};
 use crate::picture::Picture;
 use crate::{Error, Result, file};
 
+/// Cameras that are said to follow a curve follow it to so much of its exponent, standard deviation.
+const ASSUMED_EXPONENT: f64 = 0.1;
+
 /// Exposure per level and channel; never decreasing, and 1 at the middle level, so that it fixes the session's unit of
 /// radiance: what reaches the middle level in one second.
 #[derive(Debug, Clone, PartialEq)]
@@ -42,8 +45,12 @@ impl Response {
     }
 
     /// Variance of a weighted mean of ln exposures, relative to what is common to all radiances; 0 where the response was
-    /// given. `parts`: exposures in the table's unit, each with its weight.
+    /// given, but for one that nobody has measured. `parts`: exposures in the table's unit, each with its weight.
     pub(super) fn variance_of(&self, channel: usize, parts: &[(f32, f64)]) -> f64 {
+        if self.assumed {
+            let from_middle: f64 = parts.iter().map(|&(x, weight)| weight * f64::from(x).ln()).sum();
+            return (ASSUMED_EXPONENT * from_middle).powi(2);
+        }
         let Some(covariance) = self.covariance(channel) else { return 0.0 };
         let table = &self.exposure[channel];
         let mut shares: Vec<(usize, f64)> = Vec::with_capacity(2 * parts.len());
@@ -200,6 +207,16 @@ mod tests {
                 "{message}"
             );
         }
+    }
+
+    #[test]
+    fn a_response_that_nobody_measured_is_in_doubt() {
+        let doubt = |response: &Response, x: f32| response.variance_of(1, &[(x, 1.0)]).sqrt();
+        // Three stops from the middle.
+        for guess in [Response::srgb(255), Response::linear(255)] {
+            assert!((0.1..0.4).contains(&doubt(&guess, 0.125)) && doubt(&guess, 1.0) < 1e-6);
+        }
+        assert_eq!(doubt(&Response::linear(Picture::FLOAT_WHITE), 0.125), 0.0);
     }
 
     #[test]

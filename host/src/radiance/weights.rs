@@ -7,7 +7,9 @@ const SHIFT: u32 = 19;
 /// Photographs that together add less than this part of the weight are not looked at.
 const NEGLIGIBLE: f64 = 0.01;
 /// How far photographs may differ, relative, before it counts as more than noise: what the response, the lens and JPEG leave.
-pub(super) const TOLERANCE: f64 = 0.02;
+const TOLERANCE: f64 = 0.02;
+/// How many standard deviations two photographs may differ by and still agree.
+pub(super) const AGREE: f32 = 3.0;
 /// Standard deviations beyond which a contradiction is more than noise: once in a thousand pixels.
 const BEYOND: f64 = 3.1;
 /// A photograph whose expected level comes nearer than this many standard deviations to black or saturation is left out.
@@ -63,6 +65,24 @@ pub(super) enum Says {
     AtLeast(f32),
     /// Too dark: not more than this.
     AtMost(f32),
+}
+
+impl Says {
+    /// Whether both may be said of one radiance.
+    pub fn agrees_with(self, other: Self) -> bool {
+        let slack = |value: f32, variance: f32| AGREE * variance.sqrt() + TOLERANCE as f32 * value;
+        match (self, other) {
+            (Self::Value(a, va), Self::Value(b, vb)) => (a - b).abs() <= slack(a.min(b), va + vb),
+            (Self::Value(value, variance), Self::AtLeast(bound))
+            | (Self::AtLeast(bound), Self::Value(value, variance)) => value + slack(value, variance) >= bound,
+            (Self::Value(value, variance), Self::AtMost(bound))
+            | (Self::AtMost(bound), Self::Value(value, variance)) => value - slack(value, variance) <= bound,
+            (Self::AtLeast(least), Self::AtMost(most)) | (Self::AtMost(most), Self::AtLeast(least)) => {
+                least <= most
+            }
+            _ => true,
+        }
+    }
 }
 
 impl Channel {
@@ -155,12 +175,14 @@ impl Channel {
     /// The mean over some of the photographs, whatever their levels. A noisy level that happens to be low would claim a
     /// small variance and draw the mean down; so the mean found first tells the level that was to be expected in each
     /// photograph, and the variances are evaluated there. For the same reason a photograph is left out where its *expected*
-    /// level comes near black or saturation, as long as others remain.
+    /// level comes near black or saturation, as long as others remain. `bounds`: whether a photograph that does not measure the
+    /// pixel says anything of it ([`is_filling`]).
     #[cold]
     pub fn careful(
         &self,
         photographs: impl Iterator<Item = usize> + Clone,
         level: impl Fn(usize) -> u16,
+        bounds: impl Fn(usize) -> bool,
     ) -> Measured {
         let usable = photographs.clone().filter_map(|j| {
             let z = usize::from(level(j));
@@ -172,7 +194,7 @@ impl Channel {
             weight += t * t * certainty;
         }
         if weight == 0.0 {
-            return self.bound(photographs, level);
+            return self.bound(photographs, level, bounds);
         }
         let first = sum / weight;
         let (mut again, mut square, mut expected, mut count) = (0.0, 0.0, 0.0, 0);
@@ -187,8 +209,26 @@ impl Channel {
         let doubt = self.by_radiance.at(mean).map_or(0.0, |bin| bin.doubt);
         let spread = square - expected * mean * mean;
         let most = chi_squared(count) + (TOLERANCE * TOLERANCE) as f32 * mean * mean * weight;
-        let agrees = count < 2 || spread <= most;
-        Measured { radiance: mean, variance: 1.0 / weight + doubt * mean * mean, flags: 0, agrees }
+        let variance = 1.0 / weight + doubt * mean * mean;
+        let mut agrees = count < 2 || spread <= most;
+        // What hides a surface may be saturated or black: such a photograph measures nothing, but it contradicts.
+        for j in photographs.filter(|&j| bounds(j)) {
+            agrees &= match self.says(j, level(j)) {
+                Says::Value(..) => true,
+                bound => Says::Value(mean, variance + self.bound_variance(j, bound)).agrees_with(bound),
+            };
+        }
+        Measured { radiance: mean, variance, flags: 0, agrees }
+    }
+
+    /// How far noise may carry a photograph over a bound that it states: its variance just inside.
+    fn bound_variance(&self, photograph: usize, bound: Says) -> f32 {
+        let level = match bound {
+            Says::AtLeast(_) => self.saturated_level.saturating_sub(1),
+            _ => self.dark_level.saturating_add(1),
+        };
+        let certainty = self.certainty.get(usize::from(level)).copied().unwrap_or(0.0);
+        if certainty > 0.0 { self.per_time[photograph].powi(2) / certainty } else { f32::INFINITY }
     }
 
     /// What one photograph says.
@@ -205,15 +245,25 @@ impl Channel {
     }
 
     /// The bound on the radiance of a channel that no photograph measured, and why.
-    fn bound(&self, photographs: impl Iterator<Item = usize>, level: impl Fn(usize) -> u16) -> Measured {
-        let (mut lower, mut upper) = (0.0f32, f32::INFINITY);
-        for j in photographs {
-            match self.says(j, level(j)) {
-                Says::AtLeast(bound) => lower = lower.max(bound),
-                Says::AtMost(bound) => upper = upper.min(bound),
-                Says::Value(..) => {}
+    fn bound(
+        &self,
+        photographs: impl Iterator<Item = usize> + Clone,
+        level: impl Fn(usize) -> u16,
+        bounds: impl Fn(usize) -> bool,
+    ) -> Measured {
+        let within = |photographs: &mut dyn Iterator<Item = usize>| {
+            let (mut lower, mut upper) = (0.0f32, f32::INFINITY);
+            for j in photographs {
+                match self.says(j, level(j)) {
+                    Says::AtLeast(bound) => lower = lower.max(bound),
+                    Says::AtMost(bound) => upper = upper.min(bound),
+                    Says::Value(..) => {}
+                }
             }
-        }
+            (lower, upper)
+        };
+        let (least, most) = within(&mut photographs.clone().filter(|&j| bounds(j)));
+        let (lower, upper) = within(&mut photographs.clone());
         let mut flags = 0;
         if lower > 0.0 {
             flags |= RadianceImage::SATURATED;
@@ -222,8 +272,19 @@ impl Channel {
             flags |= RadianceImage::DARK;
         }
         let radiance = if lower > 0.0 { lower } else { upper };
-        Measured { radiance, variance: f32::INFINITY, flags, agrees: true }
+        Measured { radiance, variance: f32::INFINITY, flags, agrees: least <= most }
     }
+}
+
+/// Whether a pixel is black in some channels and saturated in the others: with such colours alignment tools fill the borders that
+/// they shift in; lights hardly ever show them.
+pub(super) fn is_filling(channels: &[Channel; 3], levels: [u16; 3]) -> bool {
+    let count = |is: &dyn Fn(&Channel, u16) -> bool| {
+        channels.iter().zip(levels).filter(|(channel, level)| is(channel, *level)).count()
+    };
+    let saturated = count(&|channel, level| level >= channel.saturated_level);
+    let dark = count(&|channel, level| level <= channel.dark_level);
+    saturated > 0 && dark > 0 && saturated + dark == channels.len()
 }
 
 impl Bin {

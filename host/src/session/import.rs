@@ -168,6 +168,7 @@ fn apply(
     notes: &mut Vec<String>,
 ) {
     manifest.lenses = vec![calibration.lens(width, height)];
+    manifest.lens_covariance = calibration.covariance();
     let mut calibrated = 0;
     for view in &mut manifest.views {
         view.lens = 0;
@@ -211,6 +212,9 @@ fn check_sizes(
         let (width, height) = sizes[index];
         let before = (record.width, record.height);
         if before != (width, height) {
+            if let Some(covariance) = &mut manifest.lens_covariance {
+                *covariance = record.scaled_covariance(covariance, width, height);
+            }
             *record = record.scaled_to(width, height);
             *scaled.entry((before, (width, height))).or_insert(0) += 1;
         }
@@ -288,6 +292,31 @@ fn fill(found: &[Found], manifest: Manifest, folder: &Path, progress: &dyn Progr
 mod tests {
     use super::*;
     use crate::session::View;
+
+    #[test]
+    fn the_covariance_of_an_imported_lens_is_kept() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let row =
+            |i: usize| (0..9).map(|j| if i == j { "4.0" } else { "0.5" }).collect::<Vec<_>>().join(", ");
+        let rows: Vec<String> = (0..9).map(|i| format!("[{}]", row(i))).collect();
+        let text = format!(
+            "width = 640\nheight = 480\nf = 500.0\ncx = 320.0\ncy = 240.0\ncovariance = [{}]\n",
+            rows.join(", ")
+        );
+        fs::write(file.path(), text).unwrap();
+        let calibration = Calibration::read(file.path(), 0.0).unwrap();
+        let view = View { name: "view000".into(), pan_deg: None, tilt_deg: None, lens: 0, pose: None };
+        let mut manifest = Manifest { views: vec![view], ..Manifest::new("test") };
+        apply(&calibration, &mut manifest, (320, 240), &mut vec![]);
+        let found = [Found { path: "a.jpg".into(), view: 0, exposure_s: None }];
+        check_sizes(&found, &[(320, 240)], &mut manifest, &mut vec![]).unwrap();
+        let path = file.path().with_extension("session");
+        manifest.write(&path).unwrap();
+        let kept = Manifest::read(&path).unwrap().lens_covariance.unwrap();
+        fs::remove_file(&path).unwrap();
+        // Half as many pixels; the distortion has none.
+        assert_eq!([kept[0][0], kept[0][1], kept[0][4], kept[4][4]], [1.0, 0.125, 0.25, 4.0]);
+    }
 
     #[test]
     fn views_that_a_calibration_does_not_know_are_counted() {

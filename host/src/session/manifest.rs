@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use crate::geometry::{Lens, Pose, Surface};
+use crate::geometry::{Lens, LensCovariance, Pose, Surface};
 use crate::units::length;
 use crate::{Error, Result, file};
 
@@ -29,6 +29,9 @@ pub struct Manifest {
     /// The sampled area.
     #[serde(default, skip_serializing_if = "Option::is_none", with = "surface")]
     pub surface: Option<Surface>,
+    /// How sure the lens is, where it came with a covariance of its numbers and all views have one lens.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lens_covariance: Option<LensCovariance>,
     /// How precisely every view shall be measured, where exposure times are not simply halved.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub precision: Option<Precision>,
@@ -88,6 +91,7 @@ impl Manifest {
             longest_exposure_s: None,
             precision: None,
             surface: None,
+            lens_covariance: None,
             lenses: vec![],
             views: vec![],
         }

@@ -202,19 +202,15 @@ fn what_makes_no_lens_is_refused_in_a_sentence() {
             &["c.png", "200x100", "320x240", "b0.png", "one size"],
         ),
         (
-            |folder| {
-                for (i, focal_mm) in [18u32, 35].into_iter().enumerate() {
-                    let name = format!("b{i}.jpg");
-                    let picture = image::open(folder.join(format!("b{i}.png"))).unwrap();
-                    fs::remove_file(folder.join(format!("b{i}.png"))).unwrap();
-                    let file = fs::File::create(folder.join(name)).unwrap();
-                    let mut encoder = image::codecs::jpeg::JpegEncoder::new(file);
-                    image::ImageEncoder::set_exif_metadata(&mut encoder, focal_length(focal_mm)).unwrap();
-                    encoder.encode_image(&picture).unwrap();
-                }
-            },
+            |folder| zoom(folder, 0, [18, 35]),
             "7x5",
             &["b1.jpg", "35.0 mm", "18.0 mm", "b0.jpg", "do not zoom"],
+        ),
+        // The first photograph does not tell.
+        (
+            |folder| zoom(folder, 1, [24, 50]),
+            "7x5",
+            &["b2.jpg", "50.0 mm", "24.0 mm", "b1.jpg", "do not zoom"],
         ),
         (|folder| fs::write(folder.join("b3.png"), b"no picture").unwrap(), "7x5", &["b3.png", "complete"]),
     ];
@@ -225,6 +221,18 @@ fn what_makes_no_lens_is_refused_in_a_sentence() {
         let output = rigel(folder.path(), &arguments(&names(folder.path()), board)).output().unwrap();
         assert_refused(&format!("{says:?}"), &output, says);
         assert_untouched(&format!("{says:?}"), &before, &snapshot(folder.path()));
+    }
+}
+
+/// Two of the boards as photographs that tell their focal lengths.
+fn zoom(folder: &Path, first: usize, focal_mm: [u32; 2]) {
+    for (i, focal_mm) in (first..).zip(focal_mm) {
+        let picture = image::open(folder.join(format!("b{i}.png"))).unwrap();
+        fs::remove_file(folder.join(format!("b{i}.png"))).unwrap();
+        let file = fs::File::create(folder.join(format!("b{i}.jpg"))).unwrap();
+        let mut encoder = image::codecs::jpeg::JpegEncoder::new(file);
+        image::ImageEncoder::set_exif_metadata(&mut encoder, focal_length(focal_mm)).unwrap();
+        encoder.encode_image(&picture).unwrap();
     }
 }
 

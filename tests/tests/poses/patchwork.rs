@@ -2,11 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use rigel::calibration::{
-    BoardSize, LensCovariance, RegisteredView, Registration, Squares, calibrate_photographs,
-};
+use rigel::calibration::{BoardSize, LensCovariance, Registration, Squares, calibrate_photographs};
 use rigel::geometry::{Lens, Pose};
-use rigel::measure::{ResponseChoice, measure};
+use rigel::measure::{self, measure};
 use rigel::progress::Silent;
 use rigel::session::Session;
 use rigel::session::import::{Options, Source, import};
@@ -33,7 +31,7 @@ pub fn import_patchwork(patchwork: &Path, table: &Path, folder: &Path) -> Sessio
     };
     let source = Source::Csv { table: table.into(), photographs: patchwork.join("photos") };
     let session = import(&source, folder, &options, &Silent).unwrap().session;
-    measure(&session, &ResponseChoice::Recover, &Silent).unwrap();
+    measure(&session, &measure::Options::default(), &Silent).unwrap();
     session
 }
 
@@ -63,36 +61,19 @@ impl Truth {
     pub fn lens(&self) -> Lens {
         self.0.lens(640, 480)
     }
-
-    /// The angle between the true and the found direction of the camera, seen from the surface's origin, degrees.
-    pub fn direction_error_deg(&self, view: &RegisteredView) -> f64 {
-        view.pose.centre_m.angle_between(self.pose(&view.name).centre_m).to_degrees()
-    }
-
-    /// Errors of the direction along its covariance's own axes, in standard deviations.
-    pub fn scores(&self, view: &RegisteredView) -> [f64; 2] {
-        let centre = view.pose.centre_m;
-        let (a, b) = centre.normalize().any_orthonormal_pair();
-        let error = self.pose(&view.name).centre_m - centre;
-        let covariance = |p: glam::DVec3, q: glam::DVec3| {
-            (0..9).map(|i| p[i / 3] * view.covariance[3 + i / 3][3 + i % 3] * q[i % 3]).sum::<f64>()
-        };
-        let (aa, ab, bb) = (covariance(a, a), covariance(a, b), covariance(b, b));
-        let angle = 0.5 * (2.0 * ab).atan2(aa - bb);
-        [angle, angle + std::f64::consts::FRAC_PI_2].map(|angle| {
-            let along = a * angle.cos() + b * angle.sin();
-            error.dot(along) / covariance(along, along).sqrt()
-        })
-    }
 }
 
 /// Median, 95th percentile and maximum of the direction errors (degrees), and the part of the errors within one sigma.
 pub fn summary(truth: &Truth, registration: &Registration) -> [f64; 4] {
-    let mut errors: Vec<f64> =
-        registration.views.iter().map(|view| truth.direction_error_deg(view)).collect();
+    let mut errors: Vec<f64> = registration
+        .views
+        .iter()
+        .map(|view| view.direction_error_rad(&truth.pose(&view.name)).to_degrees())
+        .collect();
     errors.sort_by(f64::total_cmp);
     let at = |part: f64| errors[(part * (errors.len() - 1) as f64).round() as usize];
-    let scores: Vec<f64> = registration.views.iter().flat_map(|view| truth.scores(view)).collect();
+    let scores: Vec<f64> =
+        registration.views.iter().flat_map(|view| view.direction_scores(&truth.pose(&view.name))).collect();
     let within = scores.iter().filter(|score| score.abs() < 1.0).count() as f64 / scores.len() as f64;
     [at(0.5), at(0.95), at(1.0), within]
 }

@@ -8,6 +8,7 @@ use std::time::Duration;
 use image::ImageEncoder;
 use rigel::camera::exif;
 use rigel::capture::capture;
+use rigel::measure::{self, measure};
 use rigel::progress::Silent;
 use rigel::session::{Event, Exposed, Manifest, Precision, Session, collect};
 
@@ -31,7 +32,7 @@ fn a_camera_that_keeps_its_photographs_exposes_the_whole_bracket_once() {
         let stems: Vec<&str> = session.waiting().iter().map(|exposed| exposed.stem.as_str()).collect();
         assert_eq!(stems.len(), 12);
         assert!(stems[0] == "photographs/view000_0" && stems[11] == "photographs/view002_3", "{stems:?}");
-        let error = rigel::measure::measure(&session, &rigel::measure::ResponseChoice::Recover, &Silent);
+        let error = measure(&session, &measure::Options::default(), &Silent);
         assert!(error.unwrap_err().to_string().contains("12 photographs"), "they are not measured yet");
     }
 }

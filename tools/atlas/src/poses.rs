@@ -5,14 +5,13 @@ mod regimes;
 use std::path::Path;
 use std::time::Duration;
 
-use glam::DVec3;
 use rigel::Result;
 use rigel::calibration::{
-    BoardCorner, BoardView, LensCovariance, LensModel, RegisteredView, Registration, ViewCorners,
-    calibrate_lens, register_corners,
+    BoardCorner, BoardView, LensCovariance, LensModel, Registration, ViewCorners, calibrate_lens,
+    register_corners,
 };
 use rigel::chart::{self, Axis, ChartPoint};
-use rigel::geometry::{Lens, Pose};
+use rigel::geometry::Lens;
 use rigel::progress::Progress;
 use rigel::report::Report;
 use rigel_simulated::board::strew;
@@ -129,9 +128,7 @@ pub fn sweep(folder: &Path, report: &mut Report, progress: &dyn Progress) -> Res
                 let errors = match errors(setting, index == 0) {
                     Ok(errors) => errors,
                     Err(refused) => {
-                        let start = [(*name).to_owned(), value.to_string(), (*method).to_owned()];
-                        let unknown = ["-"; 7].map(str::to_owned);
-                        figures.row(start.into_iter().chain(unknown).chain([refused.to_string()]).collect());
+                        figures.refused(&[name, &value.to_string(), method], refused.to_string());
                         continue;
                     }
                 };
@@ -234,32 +231,11 @@ impl Errors {
         self.dropped += registration.dropped.len();
         for view in &registration.views {
             let Some(truth) = truth.iter().find(|truth| truth.name == view.name) else { continue };
-            self.actual_deg.push(direction_error_deg(view, &truth.pose));
+            self.actual_deg.push(view.direction_error_rad(&truth.pose).to_degrees());
             self.stated_deg.push(view.direction_sigma_rad().to_degrees());
-            self.scores.extend(scores(view, &truth.pose));
+            self.scores.extend(view.direction_scores(&truth.pose));
         }
     }
-}
-
-/// The angle between the true and the found direction of the camera, seen from the surface's origin, degrees.
-fn direction_error_deg(view: &RegisteredView, truth: &Pose) -> f64 {
-    view.pose.centre_m.angle_between(truth.centre_m).to_degrees()
-}
-
-/// Errors of the direction along its covariance's own axes, in standard deviations.
-fn scores(view: &RegisteredView, truth: &Pose) -> [f64; 2] {
-    let centre = view.pose.centre_m;
-    let (a, b) = centre.normalize().any_orthonormal_pair();
-    let error = truth.centre_m - centre;
-    let covariance = |p: DVec3, q: DVec3| {
-        (0..9).map(|i| p[i / 3] * view.covariance[3 + i / 3][3 + i % 3] * q[i % 3]).sum::<f64>()
-    };
-    let (aa, ab, bb) = (covariance(a, a), covariance(a, b), covariance(b, b));
-    let angle = 0.5 * (2.0 * ab).atan2(aa - bb);
-    [angle, angle + std::f64::consts::FRAC_PI_2].map(|angle| {
-        let along = a * angle.cos() + b * angle.sin();
-        error.dot(along) / covariance(along, along).sqrt()
-    })
 }
 
 /// The lens as boards tell it.

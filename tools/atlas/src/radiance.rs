@@ -58,11 +58,11 @@ fn robertson(brackets: &[Bracket]) -> Result<(f64, Vec<RadianceImage>)> {
 /// Methods that state no variance and mask nothing.
 fn without_variance(
     brackets: &[Bracket],
-    method: impl Fn(&Stack) -> Vec<[f32; 3]>,
+    method: impl Fn(&Stack) -> Result<Vec<[f32; 3]>>,
 ) -> Result<(f64, Vec<RadianceImage>)> {
     let (cpu_s, merged) =
-        cpu_seconds(ENOUGH, || brackets.iter().map(|b| method(&b.stack)).collect::<Vec<_>>());
-    let images = brackets.iter().zip(merged).map(|(bracket, radiance)| {
+        cpu_seconds(ENOUGH, || brackets.iter().map(|b| method(&b.stack)).collect::<Result<Vec<_>>>());
+    let images = brackets.iter().zip(merged?).map(|(bracket, radiance)| {
         let first = &bracket.stack.pictures[0];
         let (variance, mask) = (vec![[f32::NAN; 3]; radiance.len()], vec![0; radiance.len()]);
         RadianceImage { width: first.width, height: first.height, radiance, variance, mask }
@@ -117,18 +117,14 @@ pub fn sweep(folder: &Path, report: &mut Report, progress: &dyn Progress) -> Res
             let (cpu_s, merged) = match method(&brackets) {
                 Ok(done) => done,
                 Err(refused) => {
-                    let unknown = ["-"; 6].map(str::to_owned);
-                    let start = [name.to_owned(), count.to_string(), stops.to_string()];
-                    figures.row(start.into_iter().chain(unknown).chain([refused.to_string()]).collect());
+                    figures.refused(&[name, &count.to_string(), &stops.to_string()], refused.to_string());
                     continue;
                 }
             };
             let error = error(&brackets, &merged);
             if !error.median.is_finite() {
-                let unknown = ["-"; 6].map(str::to_owned);
-                let start = [name.to_owned(), count.to_string(), stops.to_string()];
-                let why = "gives no number".to_owned();
-                figures.row(start.into_iter().chain(unknown).chain([why]).collect());
+                let start = [name, &count.to_string(), &stops.to_string()];
+                figures.refused(&start, "gives no number".into());
                 continue;
             }
             figures.row(vec![

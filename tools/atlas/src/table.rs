@@ -26,6 +26,11 @@ impl Table {
         self.rows.push(cells);
     }
 
+    /// Adds a row of something that was refused: what it was, no figures, and why.
+    pub fn refused(&mut self, start: &[&str], why: String) {
+        self.row(refused_row(self.header.len(), start, why));
+    }
+
     /// The columns' names.
     pub fn header(&self) -> &[&'static str] {
         &self.header
@@ -52,4 +57,12 @@ impl Table {
         }
         file::write_bytes(path, text.as_bytes())
     }
+}
+
+/// [`Table::refused`]'s row for a table of so many columns.
+pub fn refused_row(columns: usize, start: &[&str], why: String) -> Vec<String> {
+    let mut row: Vec<String> = start.iter().map(|cell| (*cell).to_owned()).collect();
+    row.resize(columns - 1, "-".into());
+    row.push(why);
+    row
 }

@@ -56,8 +56,7 @@ fn tell(calibration: &LensCalibration) {
             say!("{}: {doubt}", board.path.display());
         }
     }
-    let lens = &calibration.lens;
-    let numbers = [lens.fx, lens.fy, lens.cx, lens.cy, lens.k1, lens.k2, lens.p1, lens.p2, lens.k3];
+    let numbers = calibration.lens.numbers();
     let sigmas = calibration.sigmas().into_iter().zip(calibration.model.estimated());
     for ((name, number), (sigma, estimated)) in LENS_NAMES.iter().zip(numbers).zip(sigmas) {
         match estimated {

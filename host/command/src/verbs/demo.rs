@@ -7,7 +7,7 @@ use std::time::Instant;
 use rigel::compare::{compare, describe};
 use rigel::evaluate::session_references;
 use rigel::geometry::Texels;
-use rigel::measure::{ResponseChoice, measure};
+use rigel::measure::{self, measure};
 use rigel::observation::{self, observe};
 use rigel::report::Report;
 use rigel::sampling::{icosphere_near, stratified};
@@ -61,7 +61,7 @@ pub fn demo(arguments: &Demo) -> Result<()> {
     let photographs: usize = session.done_views().iter().map(|&view| session.photographs(view).len()).sum();
     say!("captured {seen} views and {HELD_OUT} that no fit will see: {photographs} photographs");
 
-    let measured = measure(&session, &ResponseChoice::Recover, &Bar::new("radiance"))?;
+    let measured = measure(&session, &measure::Options::default(), &Bar::new("radiance"))?;
     let path = session.folder().join("observations.rigel");
     let observations =
         observe(&session, &path, &observation::Options { texels: TEXELS }, &Bar::new("observing"))?;

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use rigel::Result;
 use rigel::calibration::Registration;
-use rigel::measure::{Options as MeasureOptions, ResponseChoice, Times, measure_with};
+use rigel::measure::{Options as MeasureOptions, ResponseChoice, Times, measure};
 use rigel::observation::{self, observe as build};
 use rigel::session::Session;
 use rigel::session::import::{Options, Source, import as run};
@@ -68,7 +68,10 @@ pub fn radiance(arguments: &Radiance) -> Result<()> {
         ExposureTimes::Measured => Times::Measured,
     };
     let options = MeasureOptions { response: choice, times };
-    let measured = measure_with(&session, &options, &bar).map_err(|error| error.about(session.folder()))?;
+    let measured = measure(&session, &options, &bar).map_err(|error| error.about(session.folder()))?;
+    for note in &measured.notes {
+        say!("note: {note}");
+    }
     for time in &measured.corrected {
         say!(
             "note: {} was exposed for {:.4} s by its pixels, not for {:.4} s",

@@ -4,19 +4,23 @@
 use glam::{DVec2, DVec3};
 use nalgebra::{SMatrix, SVector};
 
-use super::project::{BoardPose, LENS, lens_of, numbers, project};
+use super::project::{BoardPose, LENS, project};
 use crate::geometry::Lens;
 
 type Square9 = SMatrix<f64, LENS, LENS>;
 /// Lens, pose and residual.
 const ROW: usize = 16;
 const POSE: usize = 6;
+/// Steps of an adjustment at most.
+const ROUNDS: usize = 60;
 
 /// A corner of a board: where it is on it and where it was seen.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sight {
     pub point_m: DVec3,
     pub pixel: DVec2,
+    /// What it counts for, 1 for a corner that is as sure as most.
+    pub weight: f64,
 }
 
 /// A lens and the boards' poses.
@@ -24,6 +28,8 @@ pub(super) struct Sight {
 pub(super) struct Estimate {
     pub lens: Lens,
     pub poses: Vec<BoardPose>,
+    /// Whether the adjustment that found it came to rest.
+    pub settled: bool,
 }
 
 /// How residuals are weighed.
@@ -77,7 +83,7 @@ fn price(estimate: &Estimate, boards: &[Vec<Sight>], loss: Loss) -> f64 {
     for (sights, pose) in boards.iter().zip(&estimate.poses) {
         for sight in sights {
             match estimate.lens.project(pose.rotation * sight.point_m + pose.translation_m) {
-                Some(pixel) => sum += loss.of(pixel.distance_squared(sight.pixel)).1,
+                Some(pixel) => sum += sight.weight * loss.of(pixel.distance_squared(sight.pixel)).1,
                 None => return f64::INFINITY,
             }
         }
@@ -91,7 +97,7 @@ fn block(lens: &Lens, pose: &BoardPose, sights: &[Sight], loss: Loss) -> Option<
         let turned = pose.rotation * sight.point_m;
         let (pixel, by_lens, by_point) = project(lens, turned + pose.translation_m)?;
         let residual = sight.pixel - pixel;
-        let weight = loss.of(residual.length_squared()).0;
+        let weight = sight.weight * loss.of(residual.length_squared()).0;
         let [px, py, pz] = by_point;
         // A turn w of the board moves its point by w x turned.
         let turns =
@@ -133,13 +139,13 @@ pub(super) fn adjust(
     free: [bool; LENS],
     loss: Loss,
 ) -> Option<Estimate> {
-    let mut estimate = start;
+    let mut estimate = Estimate { settled: false, ..start };
     let mut cost = price(&estimate, boards, loss);
     if !cost.is_finite() {
         return None;
     }
     let mut damping = 1e-4;
-    for _ in 0..60 {
+    for _ in 0..ROUNDS {
         let blocks: Vec<Block> = boards
             .iter()
             .zip(&estimate.poses)
@@ -159,6 +165,7 @@ pub(super) fn adjust(
             damping *= 6.0;
         }
         if gain.is_none_or(|gain| gain <= 1e-9 * cost.max(1e-12)) {
+            estimate.settled = true;
             break;
         }
     }
@@ -186,7 +193,7 @@ fn step(estimate: &Estimate, blocks: &[Block], free: [bool; LENS], damping: f64)
     let scaled = Square9::from_fn(|i, j| normal[(i, j)] * scale[i] * scale[j]);
     let shift = scaled.cholesky()?.solve(&right.component_mul(&scale)).component_mul(&scale);
     let Lens { width, height, .. } = estimate.lens;
-    let mut changed = numbers(&estimate.lens);
+    let mut changed = estimate.lens.numbers();
     for k in 0..LENS {
         changed[k] += shift[k];
     }
@@ -196,7 +203,7 @@ fn step(estimate: &Estimate, blocks: &[Block], free: [bool; LENS], damping: f64)
         .zip(&estimate.poses)
         .map(|(reduced, pose)| pose.moved((reduced.own - reduced.back * shift).as_slice()))
         .collect();
-    Some(Estimate { lens: lens_of(width, height, &changed), poses })
+    Some(Estimate { lens: estimate.lens.with_numbers(changed), poses, settled: false })
 }
 
 /// No lens is beyond these: the focal length within a twentieth and fifty times the picture's longer side, the principal

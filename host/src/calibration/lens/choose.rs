@@ -2,7 +2,7 @@
 
 use super::LensModel;
 use super::adjust::{Estimate, Loss, Sight, adjust, residuals};
-use super::project::{LENS, lens_of, numbers};
+use super::project::LENS;
 use crate::geometry::Lens;
 
 /// Boards are held out in so many groups.
@@ -10,9 +10,8 @@ const GROUPS: usize = 6;
 
 /// A lens whose terms beyond a model are zero.
 pub(super) fn without(lens: &Lens, model: LensModel) -> Lens {
-    let (all, free) = (numbers(lens), model.estimated());
-    let kept: [f64; LENS] = std::array::from_fn(|k| if free[k] { all[k] } else { 0.0 });
-    lens_of(lens.width, lens.height, &kept)
+    let (all, free) = (lens.numbers(), model.estimated());
+    lens.with_numbers(std::array::from_fn(|k| if free[k] { all[k] } else { 0.0 }))
 }
 
 /// The smallest model whose mean squared error on boards that were held out exceeds that of no larger model by more than
@@ -37,17 +36,22 @@ pub(super) fn choose(boards: &[Vec<Sight>], start: &Estimate) -> Option<LensMode
 /// the model cannot show it.
 fn held_out(boards: &[Vec<Sight>], start: &Estimate, model: LensModel) -> Option<Vec<f64>> {
     let groups = GROUPS.min(boards.len());
-    let whole = Estimate { lens: without(&start.lens, model), poses: start.poses.clone() };
+    let whole = Estimate { lens: without(&start.lens, model), poses: start.poses.clone(), settled: false };
     let whole = adjust(boards, whole, model.estimated(), Loss::Squares)?;
     let mut errors = vec![0.0; boards.len()];
     for group in 0..groups {
         let part = |held: bool| (0..boards.len()).filter(move |i| (i % groups == group) == held);
         let others: Vec<Vec<Sight>> = part(false).map(|i| boards[i].clone()).collect();
         let poses = part(false).map(|i| whole.poses[i]).collect();
-        let lens =
-            adjust(&others, Estimate { lens: whole.lens, poses }, model.estimated(), Loss::Squares)?.lens;
+        let lens = adjust(
+            &others,
+            Estimate { lens: whole.lens, poses, settled: false },
+            model.estimated(),
+            Loss::Squares,
+        )?
+        .lens;
         for i in part(true) {
-            let alone = Estimate { lens, poses: vec![whole.poses[i]] };
+            let alone = Estimate { lens, poses: vec![whole.poses[i]], settled: false };
             let posed = adjust(&boards[i..=i], alone, [false; LENS], Loss::Squares)?;
             let left = residuals(&lens, &posed.poses[0], &boards[i])?;
             errors[i] = left.iter().map(|r| r.length_squared()).sum::<f64>() / left.len() as f64;

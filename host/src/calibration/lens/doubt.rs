@@ -23,20 +23,18 @@ const LEFT_OUT_TANGENTIAL: f64 = 0.002;
 
 /// The least squares' covariance; `None` where the boards leave a number of the lens open, or see too little of it.
 pub(super) fn doubt(boards: &[Vec<Sight>], estimate: &Estimate, model: LensModel) -> Option<Doubt> {
-    let squares: f64 = boards
-        .iter()
-        .zip(&estimate.poses)
-        .map(|(sights, pose)| residuals(&estimate.lens, pose, sights))
-        .collect::<Option<Vec<_>>>()?
-        .into_iter()
-        .flatten()
-        .map(DVec2::length_squared)
-        .sum();
+    let (mut squares, mut weighted) = (0.0, 0.0);
+    for (sights, pose) in boards.iter().zip(&estimate.poses) {
+        for (residual, sight) in residuals(&estimate.lens, pose, sights)?.into_iter().zip(sights) {
+            squares += residual.length_squared();
+            weighted += sight.weight * residual.length_squared();
+        }
+    }
     let free = model.estimated();
     let unknowns = 6 * boards.len() + free.iter().filter(|free| **free).count();
     let count: usize = boards.iter().map(Vec::len).sum();
     let freedom = (2 * count).checked_sub(unknowns).filter(|freedom| *freedom > 0)?;
-    let variance = (squares / freedom as f64).max(1e-18);
+    let variance = (weighted / freedom as f64).max(1e-18);
     let (normal, parts, pulls) = information(boards, estimate)?;
     let excess = excess(&normal, &parts, &pulls, free, variance)?;
     let left_out = left_out(&estimate.lens);

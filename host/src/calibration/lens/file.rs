@@ -4,7 +4,6 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use super::project::numbers;
 use super::{FittedCorner, LENS_NAMES, LensCalibration, LensCovariance};
 use crate::file::write_bytes;
 use crate::{Error, Result};
@@ -65,7 +64,7 @@ impl LensCalibration {
         let file = LensToml {
             width: self.lens.width,
             height: self.lens.height,
-            numbers: table(&numbers(&self.lens)),
+            numbers: table(&self.lens.numbers()),
             model: self.model.name(),
             rms_px: self.rms_px,
             excess: self.excess,

@@ -57,7 +57,10 @@ pub fn calibrate_lens(
     let first = views.first().map(|view| view.path.clone()).unwrap_or_default();
     enough(views.len(), &first)?;
     let mut kept: Vec<usize> = (0..views.len()).collect();
-    let all: Vec<Vec<Sight>> = views.iter().map(|view| sights(&view.corners, square_m)).collect();
+    let sigmas: Vec<f64> =
+        views.iter().flat_map(|view| &view.corners).map(|corner| corner.sigma_px).collect();
+    let usual_px = median(&sigmas);
+    let all: Vec<Vec<Sight>> = views.iter().map(|view| sights(&view.corners, square_m, usual_px)).collect();
     let nonsense = || {
         Error::input(
             &first,
@@ -143,15 +146,23 @@ pub fn calibrate_lens(
         dropped,
         verdict: String::new(),
     };
-    calibration.verdict = verdict(&calibration);
+    calibration.verdict = verdict(&calibration, estimate.settled);
     Ok(calibration)
 }
 
-fn sights(corners: &[BoardCorner], square_m: f64) -> Vec<Sight> {
+/// What every corner has beside the noise around it (the board is not quite flat, the lens not quite the model) is as much as that noise
+/// usually is.
+fn sights(corners: &[BoardCorner], square_m: f64, usual_px: f64) -> Vec<Sight> {
+    let variance = |sigma_px: f64| usual_px.powi(2) + sigma_px.powi(2);
+    let weight = |corner: &BoardCorner| match variance(corner.sigma_px) {
+        variance if variance > 0.0 => 2.0 * usual_px.powi(2) / variance,
+        _ => 1.0,
+    };
     let point = |corner: &BoardCorner| {
         DVec3::new(f64::from(corner.column) * square_m, f64::from(corner.row) * square_m, 0.0)
     };
-    corners.iter().map(|corner| Sight { point_m: point(corner), pixel: corner.pixel }).collect()
+    let sight = |corner| Sight { point_m: point(corner), pixel: corner.pixel, weight: weight(corner) };
+    corners.iter().map(sight).collect()
 }
 
 fn masked(sights: &[Sight], mask: &[bool]) -> Vec<Sight> {

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::{BoardView, DroppedBoard, LensCalibration, LensModel, calibrate_lens};
 use crate::calibration::chessboard::{BoardCorner, BoardSize, Sighting, find_board};
-use crate::camera::exif::focal_length_m;
+use crate::camera::exif::{self, OneFocalLength};
 use crate::picture::Picture;
 use crate::progress::Progress;
 use crate::{Error, Result};
@@ -18,7 +18,7 @@ const LEAST_PART: f64 = 0.25;
 /// What one photograph gave.
 struct Seen {
     size: (u32, u32),
-    focal_length_m: Option<f64>,
+    focal_length_mm: Option<f64>,
     sighting: Sighting,
     /// Why there may be no board.
     light: &'static str,
@@ -28,7 +28,7 @@ struct Seen {
 /// named in [`LensCalibration::dropped`].
 ///
 /// # Errors
-/// [`Error::Input`] when a photograph cannot be read, differs from the first one in size or focal length (by EXIF), or the
+/// [`Error::Input`] when a photograph cannot be read, differs from the others in size or focal length (by EXIF), or the
 /// boards are of another size than `board` or do not tell the lens; [`Error::Interrupted`].
 pub fn calibrate_photographs(
     paths: &[PathBuf],
@@ -52,8 +52,10 @@ pub fn calibrate_photographs(
             Ok(seen)
         })
         .collect::<Result<_>>()?;
+    let mut focal = OneFocalLength::default();
     for (path, one) in paths.iter().zip(&seen) {
         agree(path, one, first, &seen[0])?;
+        focal.admit(path, one.focal_length_mm)?;
     }
     let whole = seen.iter().filter(|one| matches!(one.sighting, Sighting::Whole(_))).count();
     let others = seen.iter().filter(|one| matches!(one.sighting, Sighting::Other(_))).count();
@@ -95,32 +97,21 @@ fn look(path: &Path, board: BoardSize) -> Result<Seen> {
         "it may be blurred, hidden or cut off; photograph it again, sharp and whole"
     };
     let size = (picture.width, picture.height);
-    Ok(Seen { size, focal_length_m: focal_length_m(path)?, sighting: find_board(&picture, board), light })
+    let focal_length_mm = exif::read(path)?.focal_length_mm;
+    Ok(Seen { size, focal_length_mm, sighting: find_board(&picture, board), light })
 }
 
-/// Photographs of one lens have one size and one focal length.
+/// Photographs of one lens have one size.
 fn agree(path: &Path, one: &Seen, first: &Path, other: &Seen) -> Result<()> {
-    if one.size != other.size {
-        let ((a, b), (c, d)) = (one.size, other.size);
-        return Err(Error::input(
-            path,
-            format!("has {a}x{b} pixels where {} has {c}x{d}", first.display()),
-            "calibrate photographs of one size",
-        ));
+    if one.size == other.size {
+        return Ok(());
     }
-    match (one.focal_length_m, other.focal_length_m) {
-        (Some(a), Some(b)) if (a / b - 1.0).abs() > 0.01 => Err(Error::input(
-            path,
-            format!(
-                "was taken with a focal length of {:.1} mm where {} has {:.1} mm",
-                1e3 * a,
-                first.display(),
-                1e3 * b
-            ),
-            "calibrate photographs of one focal length, and do not zoom",
-        )),
-        _ => Ok(()),
-    }
+    let ((a, b), (c, d)) = (one.size, other.size);
+    Err(Error::input(
+        path,
+        format!("has {a}x{b} pixels where {} has {c}x{d}", first.display()),
+        "calibrate photographs of one size",
+    ))
 }
 
 /// So many photographs (or a fifth of them) that show a grid of the same size do not err.

@@ -27,17 +27,6 @@ impl BoardPose {
     }
 }
 
-/// The numbers of a lens in the order of [`LENS`].
-pub(super) fn numbers(lens: &Lens) -> [f64; LENS] {
-    [lens.fx, lens.fy, lens.cx, lens.cy, lens.k1, lens.k2, lens.p1, lens.p2, lens.k3]
-}
-
-/// A lens of these numbers.
-pub(super) fn lens_of(width: u32, height: u32, numbers: &[f64; LENS]) -> Lens {
-    let [fx, fy, cx, cy, k1, k2, p1, p2, k3] = *numbers;
-    Lens { width, height, fx, fy, cx, cy, k1, k2, p1, p2, k3 }
-}
-
 /// The pixel of a point of the camera frame and its derivatives by the numbers of the lens and by the point; `None` where
 /// [`Lens::project`] has none.
 pub(super) fn project(lens: &Lens, point: DVec3) -> Option<(DVec2, [DVec2; LENS], [DVec2; 3])> {
@@ -84,7 +73,7 @@ mod tests {
     #[test]
     fn the_pixel_is_the_lens_s_and_the_derivatives_are_differences() {
         let numbers = [540.0, 538.0, 330.0, 236.0, -0.28, 0.09, 0.01, -0.005, -0.02];
-        let lens = lens_of(640, 480, &numbers);
+        let lens = Lens::pinhole(640, 480, 1.0).with_numbers(numbers);
         let point = DVec3::new(0.3, -0.2, 0.9);
         let (pixel, by_lens, by_point) = project(&lens, point).unwrap();
         assert!(pixel.distance(lens.project(point).unwrap()) < 1e-9);
@@ -93,7 +82,7 @@ mod tests {
             let at = |sign: f64| {
                 let mut changed = numbers;
                 changed[k] += sign * h;
-                lens_of(640, 480, &changed).project(point).unwrap()
+                lens.with_numbers(changed).project(point).unwrap()
             };
             let difference = (at(1.0) - at(-1.0)) / (2.0 * h);
             assert!(difference.distance(by_lens[k]) < 1e-5 * by_lens[k].length().max(1.0), "{k}");

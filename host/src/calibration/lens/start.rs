@@ -89,7 +89,7 @@ pub(super) fn start(boards: &[Vec<Sight>], width: u32, height: u32) -> Option<Es
         // Most of the distortion is in k1 and k2; the centre follows when they are known.
         let rough = [true, true, false, false, true, true, false, false, false];
         let free: [bool; LENS] = [true, true, true, true, true, true, false, false, false];
-        let Some(found) = adjust(boards, Estimate { lens, poses }, rough, Loss::Cauchy(4.0))
+        let Some(found) = adjust(boards, Estimate { lens, poses, settled: false }, rough, Loss::Cauchy(4.0))
             .and_then(|found| adjust(boards, found, free, Loss::Cauchy(2.0)))
         else {
             continue;

@@ -78,8 +78,8 @@ pub(super) fn refuse_unknown_focal_length(
     Err(Error::input(path, what, remedy))
 }
 
-/// The verdict on a calibration.
-pub(super) fn verdict(calibration: &LensCalibration) -> String {
+/// The verdict on a calibration, and whether its adjustment came to rest.
+pub(super) fn verdict(calibration: &LensCalibration, settled: bool) -> String {
     let lens = &calibration.lens;
     let mut sigmas = calibration.projection_sigmas_px(9, 7);
     sigmas.sort_by(f64::total_cmp);
@@ -149,5 +149,31 @@ pub(super) fn verdict(calibration: &LensCalibration) -> String {
             calibration.excess.sqrt()
         );
     }
+    if !settled {
+        text += "; the calibration had not come to rest when it was stopped: photograph more boards, tilted to all sides";
+    }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibration::LensModel;
+    use crate::geometry::Lens;
+
+    #[test]
+    fn a_calibration_that_has_not_come_to_rest_says_so() {
+        let calibration = LensCalibration {
+            lens: Lens::pinhole(640, 480, 500.0),
+            covariance: [[0.0; 9]; 9],
+            model: LensModel::Pinhole,
+            rms_px: 0.1,
+            excess: 1.0,
+            boards: vec![],
+            dropped: vec![],
+            verdict: String::new(),
+        };
+        assert!(verdict(&calibration, false).contains("not come to rest"));
+        assert!(!verdict(&calibration, true).contains("rest"));
+    }
 }

@@ -38,8 +38,11 @@ impl Search {
         };
         let reach = (reach_px / scale).ceil() as i64;
         let to_reduced = |corner: DVec2| (corner + 0.5) / scale - 0.5;
-        let map =
-            |corners: &Option<[DVec2; 4]>| correlations(picture, &corners.as_ref()?.map(to_reduced), reach);
+        let roots: Vec<f32> = picture.value.iter().map(|value| value.max(0.0).sqrt()).collect();
+        let size = (picture.width as i64, picture.height as i64);
+        let map = |corners: &Option<[DVec2; 4]>| {
+            correlations(&roots, size, &corners.as_ref()?.map(to_reduced), reach)
+        };
         Self { maps: expected.iter().map(map).collect(), reach, scale }
     }
 
@@ -85,8 +88,13 @@ fn widened(map: &[f64], side: usize, spread: i64) -> Vec<f64> {
     along(&along(map, 1, side), side, 1)
 }
 
-/// The correlation of the picture's square root with the picture of a square, by shift.
-fn correlations(picture: &Luminance, corners: &[DVec2; 4], reach: i64) -> Option<Vec<f64>> {
+/// The correlation of the picture's square roots with the picture of a square, by shift.
+fn correlations(
+    roots: &[f32],
+    (width, height): (i64, i64),
+    corners: &[DVec2; 4],
+    reach: i64,
+) -> Option<Vec<f64>> {
     let quad = Quad::new(corners)?;
     let half_px = corners[0].distance(corners[1]).min(corners[1].distance(corners[2])) / 4.0;
     let (low, high) = bounds(corners, half_px);
@@ -103,8 +111,6 @@ fn correlations(picture: &Luminance, corners: &[DVec2; 4], reach: i64) -> Option
     let n = pixels.len() as f64;
     let mean = model.iter().sum::<f64>() / n;
     let norm = model.iter().map(|m| (m - mean).powi(2)).sum::<f64>().sqrt();
-    let roots: Vec<f32> = picture.value.iter().map(|value| value.max(0.0).sqrt()).collect();
-    let (width, height) = (picture.width as i64, picture.height as i64);
     let correlation = |dx: i64, dy: i64| {
         if low.x as i64 + dx < 0
             || low.y as i64 + dy < 0

@@ -4,6 +4,7 @@ use std::fs;
 
 use exr::prelude::write_rgb_file;
 
+use super::common::succeed;
 use super::*;
 
 #[test]
@@ -109,6 +110,43 @@ fn sessions_that_are_none_or_damaged() {
             spoil: |folder| fs::remove_file(folder.join("session/photographs/view005_1.png")).unwrap(),
             arguments: &["radiance", "session", "--response", "linear"],
             names: &["view005_1.png", "check the path"],
+        },
+    ]);
+}
+
+#[test]
+fn photographs_of_unknown_times_are_no_bracket() {
+    fn unknown(folder: &Path) {
+        fs::create_dir(folder.join("some")).unwrap();
+        for i in 0..6u8 {
+            let even = image::RgbImage::from_pixel(8, 8, image::Rgb([20 << (i % 3); 3]));
+            even.save(folder.join(format!("some/{i}.png"))).unwrap();
+        }
+        succeed(folder, &["import", "some", "new", "--bracket", "3", "--exposure-times-unknown"]);
+    }
+    let names = &["1.png", "one of 3 photographs", "nobody knows", "--exposure-times"];
+    hold(&[
+        Case { spoil: unknown, arguments: &["radiance", "new", "--response", "srgb"], names },
+        Case { spoil: unknown, arguments: &["radiance", "new", "--response", "linear"], names },
+        Case { spoil: unknown, arguments: &["radiance", "new"], names },
+    ]);
+}
+
+#[test]
+fn a_lens_for_pictures_of_another_size_is_refused_without_squares() {
+    hold(&[
+        Case {
+            spoil: |folder| edit(&folder.join("lens.json"), "\"width\": 80", "\"width\": 160"),
+            arguments: &["register", "session", "--lens", "lens.json"],
+            names: &["view000.exr", "80x60", "160x60", "--lens"],
+        },
+        Case {
+            spoil: |folder| {
+                succeed(folder, &["register", "session"]);
+                edit(&folder.join("session/registration.toml"), "width = 80", "width = 160");
+            },
+            arguments: EVALUATE,
+            names: &["view001.exr", "80x60", "160x60", "register again"],
         },
     ]);
 }

@@ -111,8 +111,7 @@ pub(super) fn sweep(folder: &Path, report: &mut Report, step: &dyn Fn(usize) -> 
                     "no lens: the corners that were seen",
                 );
                 figure(folder, report, &format!("lens_regime_{index}"), svg, &format!("{name}: {said}"))?;
-                let unknown = ["-"; 5].map(str::to_owned);
-                rows.row([name.to_owned()].into_iter().chain(unknown).chain([said]).collect());
+                rows.refused(&[name], said);
             }
         }
     }

@@ -11,9 +11,9 @@ use rigel::report::{Picture, Report};
 use rigel::{Error, Result, file, render};
 use rigel_simulated::squares::{Look, SquaresRig, TrueView};
 
-use super::{direction_error_deg, known_lens};
+use super::known_lens;
 use crate::figures::{rms, table};
-use crate::table::Table;
+use crate::table::{Table, refused_row};
 
 /// A session of so many views; so many of them are made bad.
 const VIEWS: usize = 16;
@@ -126,9 +126,8 @@ fn one(regime: &Regime) -> Result<(Vec<String>, Picture)> {
     let found = match register(&session, &options, &Silent) {
         Ok(found) => found,
         Err(refused) => {
-            let unknown = ["-"; 5].map(str::to_owned);
             let said = format!("refused: {refused}");
-            let row = [regime.name.to_owned()].into_iter().chain(unknown).chain([said.clone()]).collect();
+            let row = refused_row(7, &[regime.name], said.clone());
             let caption = format!("{}: {said}", regime.name);
             return Ok((row, Picture { png: drawn(&image, &rig, None)?, caption }));
         }
@@ -161,7 +160,8 @@ fn figures(found: &Registration, truth: &[TrueView], of: impl Fn(usize) -> bool)
         .filter(|(i, _)| of(*i))
         .filter_map(|(_, truth)| {
             let view = found.view(&truth.name)?;
-            Some((direction_error_deg(view, &truth.pose), view.direction_sigma_rad().to_degrees()))
+            let off_rad = view.direction_error_rad(&truth.pose);
+            Some((off_rad.to_degrees(), view.direction_sigma_rad().to_degrees()))
         })
         .collect();
     (rms(chosen.iter().map(|c| c.0)), rms(chosen.iter().map(|c| c.1)))

@@ -88,11 +88,7 @@ pub(super) fn sweep(folder: &Path, report: &mut Report, step: &dyn Fn(usize) -> 
                 rows.row(row);
                 pictures.push(picture);
             }
-            Err(refused) => {
-                let unknown = ["-"; 4].map(str::to_owned);
-                let start = [regime.name.to_owned()].into_iter().chain(unknown);
-                rows.row(start.chain([format!("refused: {refused}")]).collect());
-            }
+            Err(refused) => rows.refused(&[regime.name], format!("refused: {refused}")),
         }
     }
     report.pictures(
