@@ -138,7 +138,7 @@ fn plans_that_cannot_be_made() {
         },
         Case {
             spoil: |folder| fs::write(folder.join("next.csv"), "azimuth_deg,zenith_deg\n10,20\n").unwrap(),
-            arguments: &["capture", "session", "--resume", "--directions", "next.csv"],
+            arguments: &["capture", "session", "--resume", "--dry-run", "--directions", "next.csv"],
             names: &["only be added to a session that a rig captures", "rigel capture"],
         },
         Case {
