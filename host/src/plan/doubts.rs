@@ -279,6 +279,7 @@ mod tests {
         let mut falls = vec![0.0; candidates.len()];
         doubts(axis, &candidates).add_falls(&mut falls);
         let best = (0..falls.len()).max_by(|&a, &b| falls[a].total_cmp(&falls[b])).unwrap();
-        assert!(candidates[best].angle_between(axis) < 0.3, "{}", candidates[best]);
+        // Its flank tells more than its summit, where brightness hardly moves.
+        assert!(candidates[best].dot(axis).powf(40.0) > 0.05, "{}", candidates[best]);
     }
 }
