@@ -46,6 +46,8 @@ pub struct Diagnostics {
     pub views: Vec<u32>,
     /// What is doubtful.
     pub flags: Vec<FitFlags>,
+    /// The names of the views that the fit has seen; empty in maps of which that is not known.
+    pub seen: Vec<String>,
     /// Where each texel has a model of its own: index into `models` of the one that was nearly taken.
     pub runner_up: Vec<u8>,
     /// And why each texel has the one that it has.

@@ -86,8 +86,8 @@ pub fn parse_part(text: &str) -> Result<f64> {
     match number.trim().parse::<f64>() {
         Ok(number) if number > 0.0 && number <= unit => Ok(number / unit),
         _ => Err(Error::request(
-            format!("'{text}' is no part of a whole"),
-            "give one above 0 and up to all, such as 1% or 0.01",
+            format!("'{text}' is not a part between nothing and all"),
+            "give a percentage such as 2%, or 0.02; above 0% and up to 100%",
         )),
     }
 }

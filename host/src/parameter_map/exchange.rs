@@ -27,6 +27,7 @@ const RUNNER_UP: &str = "fit.runnerUp";
 const REASON: &str = "fit.reason";
 const SIGMA: &str = "fit.sigma";
 const FLOOR: &str = "rigelSigmaFloor";
+const SEEN: &str = "rigelViews";
 const ZENITH: &str = "rigelSigmaZenith";
 const UNIT: &str = "the radiance of the session's pictures; metres, of a COLMAP model its own unit of length";
 const MAKE_AGAIN: &str = "fit the observation map again with `rigel fit`";
@@ -65,7 +66,8 @@ impl ParameterMap {
                 MAKE_AGAIN,
             ));
         }
-        if let Some(Diagnostics { residual, views, flags, runner_up, reason, sigma }) = &self.diagnostics {
+        if let Some(Diagnostics { residual, views, flags, runner_up, reason, sigma, .. }) = &self.diagnostics
+        {
             let lengths = [residual.len(), views.len(), flags.len()];
             let choices = [runner_up.len(), reason.len(), sigma.len()];
             if lengths != [texels; 3] || choices.iter().any(|length| ![0, texels].contains(length)) {
@@ -116,6 +118,12 @@ impl ParameterMap {
             (Text::from(HEIGHT), AttributeValue::F64(self.surface.height_m)),
             (Text::from("rigelUnit"), AttributeValue::Text(UNIT.into())),
         ]);
+        if let Some(diagnostics) =
+            self.diagnostics.as_ref().filter(|diagnostics| !diagnostics.seen.is_empty())
+        {
+            let names = Text::from(diagnostics.seen.join(",").as_str());
+            attributes.other.insert(Text::from(SEEN), AttributeValue::Text(names));
+        }
         if let Some(uncertainty) = &self.uncertainty {
             let text = |factors: &[f32; BANDS]| factors.map(|factor| factor.to_string()).join(" ");
             let zenith: Vec<String> = uncertainty.zenith.iter().map(text).collect();
@@ -265,6 +273,12 @@ impl ParameterMap {
                     .collect(),
                 sigma: channel(SIGMA)
                     .map_or_else(Vec::new, |sigma| sigma.sample_data.values_as_f32().collect()),
+                seen: match attribute(SEEN) {
+                    Ok(AttributeValue::Text(names)) => {
+                        names.to_string().split(',').map(str::to_owned).collect()
+                    }
+                    _ => vec![],
+                },
             }),
             _ => None,
         };

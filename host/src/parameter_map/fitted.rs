@@ -30,7 +30,7 @@ pub fn fit_surface(
     let (texels, count) = (header.texels, model.parameter_count());
     // The parameters, and once more while they are written.
     require(texels, 2 * count * 4 + 32)?;
-    let target = Mutex::new((vec![0f32; texels.count() * count], empty(texels.count())));
+    let target = Mutex::new((vec![0f32; texels.count() * count], empty(map, without)));
     let (tiles, done) = (header.tiles().count(), AtomicUsize::new(0));
     progress.step(0, tiles)?;
     (0..tiles).into_par_iter().try_for_each_init(Vec::new, |read, tile| {
@@ -75,11 +75,15 @@ pub(super) fn leave_out(texels: &mut [((u32, u32), TexelObservations)], without:
     }
 }
 
-pub(super) fn empty(count: usize) -> Diagnostics {
+/// For fits to the texels of `map`.
+pub(super) fn empty(map: &ObservationMap, without: &[u32]) -> Diagnostics {
+    let count = map.header().texels.count();
+    let views = (0..).zip(&map.header().views).filter(|(view, _)| !without.contains(view));
     Diagnostics {
         residual: vec![0.0; count],
         views: vec![0; count],
         flags: vec![FitFlags::default(); count],
+        seen: views.map(|(_, view)| view.name.clone()).collect(),
         ..Diagnostics::default()
     }
 }

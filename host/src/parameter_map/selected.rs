@@ -71,7 +71,7 @@ pub fn select_surface(
     drop(evidence);
 
     let target =
-        Mutex::new((vec![0f32; texels.count() * stride], empty(texels.count()), ZenithRatios::default()));
+        Mutex::new((vec![0f32; texels.count() * stride], empty(map, without), ZenithRatios::default()));
     let measured_step = texels.count().div_ceil(MEASURED);
     (0..tiles).into_par_iter().try_for_each_init(Vec::new, |read, tile| {
         map.read_tile(tile, read)?;

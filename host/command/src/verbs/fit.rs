@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use rigel::calibration::Registration;
 use rigel::evaluate::{evaluate as score, read_references, session_references};
 use rigel::fit::{BANDS, FitFlags, FitOptions, Model, Reason, candidates};
 use rigel::geometry::{Lens, Pose, Texels};
@@ -31,6 +30,13 @@ pub fn fit(arguments: &Fit) -> Result<()> {
             .into_iter()
             .map(|view| view as u32)
             .collect();
+    if (0..map.header().views.len() as u32).all(|view| without.contains(&view)) {
+        return Err(Error::input(
+            &arguments.observations,
+            format!("has {} views, and --without leaves none of them", map.header().views.len()),
+            "leave fewer out",
+        ));
+    }
     let (fitted, name) = match arguments.model.as_str() {
         "auto" => {
             let selection = Selection { fit: options, tolerance: arguments.tolerance.unwrap_or(0.0) as f32 };
@@ -60,7 +66,7 @@ pub fn fit(arguments: &Fit) -> Result<()> {
     require_extension(&out, "exr")?;
     fitted.write(&out)?;
     say!("wrote {}: {}, {:.1} bytes per texel", out.display(), fitted.name(), fitted.bytes_per_texel());
-    summarise(&fitted);
+    summarise(&fitted, arguments.identified_only);
     if arguments.model == "auto" {
         let selection = Selection { fit: options, tolerance: 0.0 };
         say_texels(&coarser(&map, &selection, &without, &Bar::new("trying coarser texels"))?);
@@ -128,7 +134,7 @@ fn say_choices(fitted: &ParameterMap, diagnostics: &Diagnostics) {
     );
 }
 
-fn summarise(fitted: &ParameterMap) {
+fn summarise(fitted: &ParameterMap, identified_only: bool) {
     let Some(diagnostics) = &fitted.diagnostics else { return };
     if !fitted.choice.is_empty() {
         say_choices(fitted, diagnostics);
@@ -151,7 +157,11 @@ fn summarise(fitted: &ParameterMap) {
         (FitFlags::HELD, "would have had negative radiance somewhere and were held above zero"),
         (
             FitFlags::UNIDENTIFIED,
-            "have a highlight that their views do not determine: what lies between the views is a guess there",
+            if identified_only {
+                "had a highlight that their views do not determine: it is left out there"
+            } else {
+                "have a highlight that their views do not determine: what lies between the views is a guess there"
+            },
         ),
     ] {
         let count = diagnostics.flags.iter().filter(|flags| flags.contains(flag)).count();
@@ -183,6 +193,12 @@ pub fn render(arguments: &Render) -> Result<()> {
         "png" => {
             let inside = rendering.inside.iter().zip(&rendering.radiance).filter(|(inside, _)| **inside);
             let values: Vec<f32> = inside.flat_map(|(_, radiance)| *radiance).collect();
+            if values.is_empty() {
+                return Err(Error::request(
+                    format!("no pixel of {} would show the front of the surface", arguments.out.display()),
+                    "turn it to the camera (--pan, --tilt, --distance), or check the camera of --camera",
+                ));
+            }
             let gamma = arguments.gamma.map_or_else(|| gamma_for_median(&values), Ok)?;
             rendering.write_png(&arguments.out, gamma)?;
         }
@@ -202,20 +218,20 @@ fn extension(path: &Path) -> String {
     path.extension().unwrap_or_default().to_string_lossy().to_lowercase()
 }
 
-/// What is known of a map that was fitted to some of the views with which it is now compared: a texel that rests on more views than
-/// the session has others.
-fn seen_by_fit(map: &ParameterMap, session: &Session, references: usize) -> Result<Option<String>> {
-    let fitted =
-        map.diagnostics.iter().flat_map(|diagnostics| &diagnostics.views).max().copied().unwrap_or(0);
-    let registered = Registration::of(session)?.map(|registration| registration.views.len());
-    let others = registered.unwrap_or_else(|| session.done_views().len()).saturating_sub(references);
-    let seen = (fitted as usize).saturating_sub(others).min(references);
-    Ok((seen > 0).then(|| {
-        format!(
-            "the fit has seen {} (there are texels that rest on {fitted} views), so the errors flatter it; fit --without them",
-            if seen == references { "all of these views".into() } else { format!("at least {seen} of these {references} views") }
-        )
-    }))
+/// What is to be said of a map that was fitted to some of the views with which it is now compared.
+fn seen_by_fit(map: &ParameterMap, session: &Session, references: &[usize]) -> Option<String> {
+    let seen = &map.diagnostics.as_ref()?.seen;
+    if seen.is_empty() {
+        return Some("the map does not say which views its fit has seen".into());
+    }
+    let names = references.iter().map(|&view| &session.manifest.views[view].name);
+    let both: Vec<&str> = names.filter(|name| seen.contains(name)).map(String::as_str).collect();
+    let which = match both.as_slice() {
+        [] => return None,
+        all if all.len() == references.len() => "all of these views".into(),
+        some => some.join(", "),
+    };
+    Some(format!("the fit has seen {which}, so the errors flatter it; fit --without them"))
 }
 
 /// `rigel evaluate`.
@@ -227,7 +243,7 @@ pub fn evaluate(arguments: &Evaluate) -> Result<()> {
         (None, Some(folder)) => {
             let session = Session::open(folder)?;
             let views = session_views(&session, &arguments.views)?;
-            seen = seen_by_fit(&map, &session, views.len())?;
+            seen = seen_by_fit(&map, &session, &views);
             session_references(&session, &views).map_err(|error| error.about(folder))?
         }
         (None, None) => {

@@ -105,10 +105,18 @@ pub fn observe(arguments: &Observe) -> Result<()> {
     let map =
         build(&session, &out, &observation::Options { texels: arguments.texels }, &Bar::new("observing"))
             .map_err(|error| error.about(session.folder()))?;
-    if let Some(registration) = Registration::of(&session)? {
-        for view in &registration.dropped {
-            say!("warning: {} is left out: it {}", view.name, view.reason);
+    match Registration::of(&session)? {
+        Some(registration) => {
+            for view in &registration.dropped {
+                say!("warning: {} is left out: it {}", view.name, view.reason);
+            }
         }
+        None if session.manifest.views.iter().any(|view| view.pose.is_none()) => {
+            say!(
+                "note: nothing is registered: the rig is taken to stand where it was told to (see `rigel register`)"
+            );
+        }
+        None => {}
     }
     let header = map.header();
     if header.views.iter().any(|view| view.gain != 1.0) {
