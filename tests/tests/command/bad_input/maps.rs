@@ -55,7 +55,7 @@ fn maps_that_cannot_be_used() {
                 "--without",
                 "view000,view001,view002,view003,view004,view005,view006",
             ],
-            names: &["observations.rigel", "photograph more views"],
+            names: &["observations.rigel", "leave fewer out"],
         },
         Case {
             spoil: nothing,
