@@ -166,10 +166,10 @@ fn a_stated_error_is_reached_with_fewer_photographs() {
             println!("{jpeg_quality:?}: {name}: {count} photographs, {told:.2} % told and {truly:.2} % true");
         }
         assert_eq!(planned.doubts, [""; 0]);
+        // A plan goes by the first view's noise; JPEG's differs from place to place.
+        let (slack, as_halved) = if jpeg_quality.is_some() { (1.2, 1.2) } else { (1.05, 1.1) };
         for outcome in [&halved, &planned] {
             let [told, truly] = outcome.errors();
-            // A plan goes by the first view's noise; JPEG's differs from place to place.
-            let slack = if jpeg_quality.is_some() { 1.2 } else { 1.05 };
             assert!(
                 told <= slack * wish.relative_error && truly <= slack * wish.relative_error,
                 "{told} {truly}"
@@ -179,7 +179,7 @@ fn a_stated_error_is_reached_with_fewer_photographs() {
         // Also where as much is wished for as halving itself reaches.
         assert!(equal.photographs * 10 <= halved.photographs * 6, "{}", equal.photographs);
         let ([told, truly], [_, halved_truly]) = (equal.errors(), halved.errors());
-        assert!(told <= 1.02 * reached.relative_error && truly <= 1.1 * halved_truly, "{told} {truly}");
+        assert!(told <= 1.02 * reached.relative_error && truly <= as_halved * halved_truly, "{told} {truly}");
     }
 }
 
