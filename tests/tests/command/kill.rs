@@ -54,7 +54,8 @@ fn told(session: &Session) -> usize {
 }
 
 /// What must be true of a session at any moment at which its capture may have died. Returns how many photographs were lost:
-/// those that are there, in whatever state, and not in the journal.
+/// those that are there, in whatever state, and not in the journal. One that was in its place and untold at one kill, and
+/// half taken again at the next, is one photograph in two files.
 fn lost(folder: &Path) -> usize {
     if !folder.join("session.toml").exists() {
         return 0;
@@ -69,7 +70,9 @@ fn lost(folder: &Path) -> usize {
         let inside = path.strip_prefix(folder).unwrap();
         path.is_file() && (inside.starts_with("photographs") || inside.parent() == Some(Path::new("taking")))
     });
-    pictures.filter(|path| !known.contains(path)).count()
+    let stem =
+        |path: PathBuf| path.file_name().unwrap().to_str().unwrap().split('.').next().unwrap().to_owned();
+    pictures.filter(|path| !known.contains(path)).map(stem).collect::<BTreeSet<_>>().len()
 }
 
 /// Starts captures and kills them, each after a random part of `whole`; checks whatever comes to its end.
