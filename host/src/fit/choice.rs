@@ -39,11 +39,15 @@ pub struct Choice {
     pub reason: Reason,
 }
 
+/// No texel's error grows by more than this, relative, for the size of the surface.
+const MOST_LOSS: f64 = 0.5;
+
 /// The model of every texel (the first where its views allow none); `sizes` are those of the models.
 ///
 /// Where a texel's own views leave it open, the smallest model is taken that predicts at most 2 % worse than the best on
 /// average over the texel and the eight around it. Then models are made smaller where that costs least, as long as the
-/// surface is predicted no worse than by the best single model for all of it: what the choice gains is taken as size.
+/// surface is predicted no worse than by the best single model for all of it, and no texel half as much worse again: what
+/// the choice gains is taken as size.
 pub(super) fn choose(evidence: &[Evidence], texels: Texels, sizes: &[usize], tolerance: f32) -> Vec<Choice> {
     let mut chosen: Vec<(usize, Reason)> = (0..evidence.len())
         .map(|i| choose_one(evidence, texels, i, tolerance).unwrap_or((0, Reason::Only)))
@@ -69,7 +73,11 @@ fn economise(evidence: &[Evidence], sizes: &[usize], chosen: &mut [(usize, Reaso
     // What one byte must gain, in error of a texel.
     let worth = |price: f64, i: usize| {
         let cost = |m: usize| error(i, m) + price * sizes[m] as f64;
-        (0..=chosen[i].0).min_by(|&a, &b| cost(a).total_cmp(&cost(b))).unwrap_or(0)
+        let most = (1.0 + MOST_LOSS) * error(i, chosen[i].0);
+        (0..=chosen[i].0)
+            .filter(|&m| error(i, m) <= most)
+            .min_by(|&a, &b| cost(a).total_cmp(&cost(b)))
+            .unwrap_or(0)
     };
     let total = |price: f64| known.iter().map(|&i| error(i, worth(price, i))).sum::<f64>();
     let (mut low, mut high) = (0.0, 1.0);
@@ -188,6 +196,17 @@ mod tests {
         let size = chosen.iter().map(|(model, _)| SIZES[*model]).sum::<usize>();
         assert!(size < 40 * 20, "{size}");
         assert!(chosen.iter().any(|(_, reason)| *reason == Reason::Economy));
+    }
+
+    #[test]
+    fn a_few_texels_do_not_pay_for_the_size_of_all() {
+        // The surface as a whole could well afford constants: where one costs little, and where it costs all.
+        let gain = evidence([0.05, 0.2, 0.3], 1e-4);
+        let mut all = vec![gain; 40];
+        all.push(evidence([0.13, 0.1, 0.1], 1e-4));
+        all.push(evidence([0.3, 0.1, 0.1], 1e-4));
+        let models: Vec<usize> = row(&all).iter().map(|(model, _)| *model).collect();
+        assert_eq!(models[40..], [0, 1]);
     }
 
     #[test]

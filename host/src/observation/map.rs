@@ -22,6 +22,8 @@ use crate::{Error, Result};
 /// How many texels, of how many tiles, stand for a surface.
 const SAMPLED_TEXELS: usize = 400;
 const SAMPLED_TILES: usize = 40;
+/// So many texels at a time are put together from all views.
+const GROUP: usize = 32;
 const MAGIC: &[u8; 8] = b"RIGELOBS";
 const FORMAT: u32 = 1;
 /// Half floats for each observation: radiance, standard deviation, mask.
@@ -271,22 +273,29 @@ impl ObservationMap {
             header.surface.texel_centre(header.texels, *column, *row)
         };
         let centres: Vec<DVec3> = places.iter().map(centre).collect();
-        let mut halves = vec![f16::ZERO; header.tile.count() * VALUES];
-        let mut values = vec![0f32; header.tile.count() * VALUES];
-        for (view, bytes) in bytes.chunks_exact(block).enumerate() {
-            for (half, bytes) in halves.iter_mut().zip(bytes.as_chunks::<2>().0) {
-                *half = f16::from_le_bytes(*bytes);
-            }
-            halves.convert_to_f32_slice(&mut values);
-            let values = values.as_chunks::<VALUES>().0;
-            let camera = header.views[view].centre_m;
-            for (((_, texel), (slot, _)), centre) in texels.iter_mut().zip(&places).zip(&centres) {
-                let [r, g, b, sigma, mask] = values[*slot];
-                if mask == 0.0 {
-                    texel.view.push(view as u32);
-                    texel.direction.push((camera - centre).as_vec3().normalize());
-                    texel.radiance.push([r * unit, g * unit, b * unit]);
-                    texel.sigma.push(sigma * unit);
+        // A few texels through all views, then the next: what is being written stays in the cache.
+        let groups = texels.chunks_mut(GROUP).zip(places.chunks(GROUP)).zip(centres.chunks(GROUP));
+        for ((texels, places), centres) in groups {
+            let first = places[0].0;
+            let slots = first..places[places.len() - 1].0 + 1;
+            let bytes_of = slots.start * VALUES * 2..slots.end * VALUES * 2;
+            let mut halves = vec![f16::ZERO; slots.len() * VALUES];
+            let mut values = vec![0f32; slots.len() * VALUES];
+            for (view, bytes) in bytes.chunks_exact(block).enumerate() {
+                for (half, bytes) in halves.iter_mut().zip(bytes[bytes_of.clone()].as_chunks::<2>().0) {
+                    *half = f16::from_le_bytes(*bytes);
+                }
+                halves.convert_to_f32_slice(&mut values);
+                let values = values.as_chunks::<VALUES>().0;
+                let camera = header.views[view].centre_m;
+                for (((_, texel), (slot, _)), centre) in texels.iter_mut().zip(places).zip(centres) {
+                    let [r, g, b, sigma, mask] = values[slot - first];
+                    if mask == 0.0 {
+                        texel.view.push(view as u32);
+                        texel.direction.push((camera - centre).as_vec3().normalize());
+                        texel.radiance.push([r * unit, g * unit, b * unit]);
+                        texel.sigma.push(sigma * unit);
+                    }
                 }
             }
         }

@@ -33,9 +33,12 @@ pub fn fit_surface(
     let target = Mutex::new((vec![0f32; texels.count() * count], empty(map, without)));
     let (tiles, done) = (header.tiles().count(), AtomicUsize::new(0));
     progress.step(0, tiles)?;
-    (0..tiles).into_par_iter().try_for_each_init(Vec::new, |read, tile| {
-        map.read_tile(tile, read)?;
-        leave_out(read, without);
+    // As many as there are cores at work; each is used again.
+    let idle = Mutex::new(vec![]);
+    (0..tiles).into_par_iter().try_for_each(|tile| {
+        let mut read = idle.lock().map_err(|_| Error::Interrupted)?.pop().unwrap_or_default();
+        map.read_tile(tile, &mut read)?;
+        leave_out(&mut read, without);
         let observed: Vec<_> = read.iter().map(|(_, texel)| texel).collect();
         // Where there are few tiles each is work for all cores.
         let some = if tiles < 4 * rayon::current_num_threads() { SOME } else { observed.len() };
@@ -51,6 +54,7 @@ pub fn fit_surface(
             diagnostics.flags[index] = fit.flags;
         }
         drop(target);
+        idle.lock().map_err(|_| Error::Interrupted)?.push(read);
         progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, tiles)
     })?;
     let (parameters, diagnostics) = target.into_inner().map_err(|_| Error::Interrupted)?;
