@@ -127,7 +127,8 @@ impl Evaluation {
         self.views.iter().map(value).sum::<f64>() / self.views.len() as f64
     }
 
-    /// Writes errors.csv and, for each view, truth, prediction and difference side by side as a PNG.
+    /// Writes errors.csv and, for each view, truth, prediction and difference side by side as a PNG. Pictures of other views
+    /// that an errors.csv there names are removed: they belong to another map.
     ///
     /// # Errors
     /// [`Error::Io`] when `folder` cannot be written or the disk is full; then it is as it was.
@@ -136,7 +137,18 @@ impl Evaluation {
         for comparison in &self.comparisons {
             files.push((format!("{}.png", comparison.name), comparison.side_by_side_png()?));
         }
-        file::write_together(folder, &files)
+        let before = std::fs::read_to_string(folder.join("errors.csv")).unwrap_or_default();
+        file::write_together(folder, &files)?;
+        let pictures =
+            before.lines().skip(1).filter_map(|line| Some(format!("{}.png", line.split_once(',')?.0)));
+        for stale in pictures.filter(|name| files.iter().all(|(new, _)| new != name)) {
+            let path = folder.join(&stale);
+            // Gone already, or named by a table that nobody here wrote.
+            if path.is_file() && path.file_name() == Some(stale.as_ref()) {
+                std::fs::remove_file(&path).map_err(Error::io("remove", &path))?;
+            }
+        }
+        Ok(())
     }
 
     /// The table as CSV.
@@ -340,6 +352,34 @@ fn median(mut values: Vec<f32>) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn no_picture_of_an_earlier_comparison_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let of = |name: &str| {
+            let error = ViewError {
+                name: name.into(),
+                pixels: 1,
+                mean_255: 1.0,
+                psnr_db: 40.0,
+                median_relative: 0.1,
+            };
+            let comparison = Comparison {
+                name: name.into(),
+                width: 1,
+                height: 1,
+                truth: vec![[1; 3]],
+                prediction: vec![[2; 3]],
+                difference: vec![[3; 3]],
+            };
+            Evaluation { scale: [1.0; 3], gamma: 1.0, views: vec![error], comparisons: vec![comparison] }
+        };
+        of("view001").write(folder.path()).unwrap();
+        std::fs::write(folder.path().join("mine.png"), b"").unwrap();
+        of("view002").write(folder.path()).unwrap();
+        let there = |name: &str| folder.path().join(name).exists();
+        assert!(!there("view001.png") && there("view002.png") && there("mine.png"));
+    }
 
     #[test]
     fn a_damaged_or_newer_radiance_is_no_picture_without_a_mask() {

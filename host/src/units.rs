@@ -15,7 +15,12 @@ pub fn parse_length_m(text: &str) -> Result<f64> {
         .into_iter()
         .find_map(|(unit, metres)| text.strip_suffix(unit).map(|number| (number, metres)))
         .ok_or_else(|| {
-            Error::request(format!("the length '{text}' has no unit"), "write it as 200mm, 20cm or 0.2m")
+            let unit = text.trim_start_matches(|c: char| !c.is_alphabetic());
+            let what = match unit {
+                "" => format!("the length '{text}' has no unit"),
+                unit => format!("the length '{text}' has an unknown unit, '{unit}'"),
+            };
+            Error::request(what, "write it as 200mm, 20cm or 0.2m")
         })?;
     match number.trim().parse::<f64>() {
         Ok(value) if value.is_finite() && value > 0.0 => Ok(value * metres),
@@ -77,6 +82,19 @@ pub fn parse_board(text: &str) -> Result<BoardSize> {
     }
 }
 
+/// Reads an angle in degrees, such as `-12.5`.
+///
+/// # Errors
+/// [`Error::Request`] when it is not a finite number.
+pub fn parse_degrees(text: &str) -> Result<f64> {
+    match text.trim().parse::<f64>() {
+        Ok(degrees) if degrees.is_finite() => Ok(degrees),
+        _ => {
+            Err(Error::request(format!("'{text}' is not an angle in degrees"), "write a number such as 12.5"))
+        }
+    }
+}
+
 /// Reads a part of something, above 0 and 1 at most: `1%`, `0.01`.
 ///
 /// # Errors
@@ -123,6 +141,20 @@ pub mod length {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_length_in_a_unit_that_is_not_known_is_not_one_without() {
+        assert!(parse_length_m("9in").unwrap_err().to_string().contains("unknown unit, 'in'"));
+        assert!(parse_length_m("9").unwrap_err().to_string().contains("no unit"));
+    }
+
+    #[test]
+    fn angles_are_numbers() {
+        assert_eq!(parse_degrees("-12.5").unwrap(), -12.5);
+        for bad in ["nan", "inf", "12deg", ""] {
+            assert!(parse_degrees(bad).is_err(), "{bad}");
+        }
+    }
 
     #[test]
     fn lengths_carry_a_unit() {

@@ -90,7 +90,7 @@ impl Calibration {
         if let Some((lens, pixel_centre)) = foreign(path, &text, pixel_centre)? {
             return Ok(Self { lens: lens.check(path, pixel_centre)?, covariance: None, views: vec![] });
         }
-        let file: File = parse_text(path, &text)?;
+        let file: File = parse_text(path, &text, A_LENS)?;
         let views = file
             .views
             .into_iter()
@@ -144,8 +144,8 @@ impl ReferenceFile {
         }
         let text = read(path)?;
         let entries: Vec<Entry> = match text.trim_start().starts_with('[') && is_json(&text) {
-            true => parse_text(path, &text)?,
-            false => parse_text::<List>(path, &text)?.views,
+            true => parse_text(path, &text, REFERENCES)?,
+            false => parse_text::<List>(path, &text, REFERENCES)?.views,
         };
         if entries.is_empty() {
             return Err(Error::input(path, "lists no reference view", "list at least one"));
@@ -179,7 +179,7 @@ pub fn read_camera(path: &Path, pixel_centre: f64) -> Result<(Lens, Pose)> {
         #[serde(flatten)]
         pose: PoseFile,
     }
-    let file: File = parse(path)?;
+    let file: File = parse_text(path, &read(path)?, A_CAMERA)?;
     let (Some(width), Some(height)) = (file.lens.width, file.lens.height) else {
         return Err(Error::input(path, "does not say the picture's size", "add width and height in pixels"));
     };
@@ -304,26 +304,23 @@ fn check_covariance(path: &Path, covariance: &LensCovariance) -> Result<()> {
     }
 }
 
-fn parse<T: DeserializeOwned>(path: &Path) -> Result<T> {
-    parse_text(path, &read(path)?)
-}
-
 fn read(path: &Path) -> Result<String> {
     std::fs::read_to_string(path).map_err(Error::io("read", path))
 }
 
-fn parse_text<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T> {
+/// What to do about a file that is none.
+const A_LENS: &str =
+    "give a lens as `rigel calibrate` or OpenCV writes it: TOML, JSON, YAML or XML with fx, fy, cx and cy";
+const A_CAMERA: &str = "give TOML or JSON with fx, fy, cx, cy, width, height, centre (mm), forward and up";
+const REFERENCES: &str =
+    "give TOML or JSON with `views`, each with file, fx, fy, cx, cy, centre (mm), forward and up";
+
+fn parse_text<T: DeserializeOwned>(path: &Path, text: &str, remedy: &str) -> Result<T> {
     let parsed = match is_json(text) {
         true => serde_json::from_str(text).map_err(|error| error.to_string()),
         false => toml::from_str(text).map_err(|error: toml::de::Error| error.message().to_owned()),
     };
-    parsed.map_err(|what| {
-        Error::input(
-            path,
-            format!("cannot be used ({what})"),
-            "give TOML or JSON with fx, fy, cx, cy, centre, forward and up",
-        )
-    })
+    parsed.map_err(|what| Error::input(path, format!("cannot be used ({what})"), remedy))
 }
 
 /// Whether a text is JSON rather than TOML, which may begin with a bracket too, but never with one before a brace.

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use rigel::calibration::BoardSize;
 use rigel::geometry::{Surface, Texels};
-use rigel::units::{parse_board, parse_length_m, parse_part, parse_surface, parse_texels};
+use rigel::units::{parse_board, parse_degrees, parse_length_m, parse_part, parse_surface, parse_texels};
 
 /// Captures how a surface looks from every direction and fits the smallest model that reproduces it.
 #[derive(Parser)]
@@ -198,10 +198,10 @@ pub struct Bench {
 #[derive(Args)]
 pub struct Move {
     /// Pan, degrees
-    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true, value_parser = parse_degrees)]
     pub pan: f64,
     /// Tilt, degrees
-    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true, value_parser = parse_degrees)]
     pub tilt: f64,
     #[command(flatten)]
     pub bench: Bench,
@@ -346,7 +346,8 @@ pub struct Observe {
 pub struct Fit {
     /// The observation map
     pub observations: PathBuf,
-    /// The model; `auto` takes for each texel the smallest of those that predict held-out views best
+    /// The model: constant, phong to phong4, log-quadratic, msh15 to msh91 and others, which a wrong name lists; `auto` takes for each
+    /// texel the smallest of those that predict held-out views best
     #[arg(long, default_value = "auto")]
     pub model: String,
     /// With `auto`: a smaller model suffices that predicts held-out views with at most this mean error, such as 2%
@@ -398,19 +399,19 @@ pub struct Render {
     #[arg(long, default_value_t = 0.0)]
     pub pixel_centre: f64,
     /// Pan of the rig, degrees
-    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true, value_parser = parse_degrees)]
     pub pan: f64,
     /// Tilt of the rig, degrees
-    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true, value_parser = parse_degrees)]
     pub tilt: f64,
     /// Distance from the rig's centre to the camera [default: four times the surface's longer side]
     #[arg(long, value_parser = parse_length_m)]
     pub distance: Option<f64>,
-    /// Columns and rows of pixels, for --pan and --tilt
+    /// Columns and rows of pixels; not with --camera, which has its own
     #[arg(long, default_value = "800x600", value_parser = parse_texels)]
     pub size: Texels,
     /// Gamma of the exposure function y = 1 - exp(-gamma x) of a PNG [default: half grey for the median]
-    #[arg(long)]
+    #[arg(long, value_parser = parse_gamma)]
     pub gamma: Option<f32>,
 }
 
@@ -433,6 +434,11 @@ pub struct Evaluate {
     /// Folder for errors.csv and the pictures [default: the map's name with -errors, beside it]
     #[arg(long)]
     pub out: Option<PathBuf>,
+}
+
+fn parse_gamma(text: &str) -> Result<f32, String> {
+    let gamma = text.parse().ok().filter(|gamma: &f32| gamma.is_finite() && *gamma > 0.0);
+    gamma.ok_or_else(|| "give a positive number, such as 1.5".into())
 }
 
 #[cfg(test)]

@@ -19,6 +19,7 @@ pub fn heed_interrupts() {
             if INTERRUPTED.swap(true, Ordering::Relaxed) {
                 std::process::exit(130);
             }
+            eprintln!("rigel: stopping; Ctrl-C again ends it at once");
         });
     });
 }

@@ -14,6 +14,11 @@ pub fn line(text: Arguments) {
     }
 }
 
+/// `1 view`, `2 views`.
+pub fn count_of(count: usize, thing: &str) -> String {
+    format!("{count} {thing}{}", if count == 1 { "" } else { "s" })
+}
+
 /// `println!` that does not panic.
 macro_rules! say {
     ($($argument:tt)*) => { $crate::say::line(format_args!($($argument)*)) };

@@ -27,6 +27,9 @@ pub struct Selection {
 /// Of so many texels the doubt is measured by zenith.
 const MEASURED: usize = 1000;
 
+/// So many texels are compared at a time.
+const BATCH: usize = 128;
+
 /// Fits to every texel of `map` the smallest of `models` that suffices, leaving out the views `without`: see [`Selector`].
 ///
 /// # Errors
@@ -43,7 +46,7 @@ pub fn select_surface(
     let (texels, tiles) = (header.texels, header.tiles().count());
     let done = AtomicUsize::new(0);
     let sample = map.sample(without)?;
-    let go_on = || progress.step(0, 2 * tiles);
+    let go_on = || progress.step(done.load(Ordering::Relaxed), 2 * tiles);
     let selector = Selector::new(models, &selection.fit, selection.tolerance, &sample, &go_on)
         .map_err(|error| error.about(map.path()))?;
     drop(sample);
@@ -58,7 +61,12 @@ pub fn select_surface(
     (0..tiles).into_par_iter().try_for_each_init(Vec::new, |read, tile| {
         map.read_tile(tile, read)?;
         leave_out(read, without);
-        let found = selector.evidence(&read.iter().map(|(_, texel)| texel).collect::<Vec<_>>());
+        let found = read.par_chunks(BATCH).map(|some| {
+            // Whoever wants to stop does not wait for the whole tile.
+            go_on()?;
+            Ok(selector.evidence(&some.iter().map(|(_, texel)| texel).collect::<Vec<_>>()))
+        });
+        let found = found.collect::<Result<Vec<_>>>()?.concat();
         let mut evidence = evidence.lock().map_err(|_| Error::Interrupted)?;
         read.iter().zip(found).for_each(|((texel, _), found)| evidence[index(*texel)] = found);
         drop(evidence);

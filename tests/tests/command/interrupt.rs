@@ -140,7 +140,7 @@ fn a_capture_goes_on_where_it_stopped() {
     assert!(left.keys().all(|name| !name.to_string_lossy().contains("rigel-tmp")), "{:?}", left.keys());
 
     let told = succeed(folder.path(), &["capture", "session", "--resume"]);
-    assert!(told.contains(&format!("{} views to photograph", views - done.len())), "{told}");
+    assert!(told.contains(&format!("{} view", views - done.len())), "{told}");
     let whole = Session::open(&session).unwrap();
     assert_eq!((&whole.manifest, whole.done_views().len()), (&half.manifest, views));
     assert!(read() == before, "a finished photograph was taken again");

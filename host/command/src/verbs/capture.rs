@@ -16,7 +16,7 @@ use rigel_simulated::rig::rehearse as rehearsed;
 use crate::arguments::{CameraChoice, Capture, Collect, SamplingChoice};
 use crate::devices::{Devices, With};
 use crate::progress::Bar;
-use crate::say::say;
+use crate::say::{count_of, say};
 
 /// So many doubtful views are told of one by one.
 const MOST_TOLD: usize = 5;
@@ -34,7 +34,7 @@ pub fn capture(arguments: &Capture) -> Result<()> {
     if let (Some(session), Some(table)) = (&mut begun, &arguments.directions) {
         let before = session.manifest.views.len();
         let more = capture::with_views(&session.manifest, &read_directions(table)?, &devices.rig.limits())?;
-        say!("{} views more", more.views.len() - before);
+        say!("{} more", count_of(more.views.len() - before, "view"));
         if arguments.dry_run {
             session.manifest = more;
         } else {
@@ -107,9 +107,10 @@ pub fn capture(arguments: &Capture) -> Result<()> {
     }
     let photographs: usize = session.done_views().iter().map(|&view| session.photographs(view).len()).sum();
     say!(
-        "wrote {}: {} views, {photographs} photographs",
+        "wrote {}: {}, {}",
         arguments.session.display(),
-        session.done_views().len()
+        count_of(session.done_views().len(), "view"),
+        count_of(photographs, "photograph")
     );
     Ok(())
 }
@@ -225,9 +226,9 @@ pub fn new_manifest(
 
 fn say(plan: &Plan) {
     say!(
-        "{} views to photograph: at most {} photographs, {:.0} min and {:.1} MB",
-        plan.views,
-        plan.most_photographs,
+        "{} to photograph: at most {}, {:.0} min and {:.1} MB",
+        count_of(plan.views, "view"),
+        count_of(plan.most_photographs, "photograph"),
         (plan.most_seconds / 60.0).ceil(),
         plan.most_bytes as f64 / 1e6
     );

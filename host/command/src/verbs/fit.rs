@@ -18,7 +18,7 @@ use rigel::{Error, Result};
 use crate::arguments::{Evaluate, Fit, Render};
 use crate::progress::Bar;
 use crate::say::say;
-use crate::verbs::{require_extension, session_views, views_by_name};
+use crate::verbs::{require_extension, require_place, session_views, views_by_name};
 
 /// `rigel fit`.
 pub fn fit(arguments: &Fit) -> Result<()> {
@@ -37,37 +37,23 @@ pub fn fit(arguments: &Fit) -> Result<()> {
             "leave fewer out",
         ));
     }
-    let (fitted, name) = match arguments.model.as_str() {
-        "auto" => {
-            let selection = Selection { fit: options, tolerance: arguments.tolerance.unwrap_or(0.0) as f32 };
-            let progress = Bar::new("choosing and fitting");
-            (select_surface(&map, &candidates(), &selection, &without, &progress)?, "auto".to_owned())
-        }
-        name => {
-            if arguments.tolerance.is_some() {
-                return Err(Error::request(
-                    format!("--tolerance says nothing to --model {name}"),
-                    "leave it out, or let --model auto choose",
-                ));
-            }
-            let model = Model::parse(name)?;
-            if arguments.identified_only && !matches!(model, Model::Phong { .. } | Model::SharedPhong { .. })
-            {
-                return Err(Error::request(
-                    format!("--identified-only says nothing to --model {name}, which has no lobes"),
-                    "leave it out, or fit phong to phong4 or auto",
-                ));
-            }
-            (fit_surface(&map, model, &options, &without, &Bar::new("fitting"))?, model.name())
-        }
-    };
+    let model = single_model(arguments)?;
+    let name = model.map_or_else(|| "auto".into(), |model| model.name());
     let out =
         arguments.out.clone().unwrap_or_else(|| arguments.observations.with_file_name(format!("{name}.exr")));
     require_extension(&out, "exr")?;
+    require_place(&out, true)?;
+    let fitted = match model {
+        Some(model) => fit_surface(&map, model, &options, &without, &Bar::new("fitting"))?,
+        None => {
+            let selection = Selection { fit: options, tolerance: arguments.tolerance.unwrap_or(0.0) as f32 };
+            select_surface(&map, &candidates(), &selection, &without, &Bar::new("choosing and fitting"))?
+        }
+    };
     fitted.write(&out)?;
     say!("wrote {}: {}, {:.1} bytes per texel", out.display(), fitted.name(), fitted.bytes_per_texel());
     summarise(&fitted, arguments.identified_only);
-    if arguments.model == "auto" {
+    if model.is_none() {
         let selection = Selection { fit: options, tolerance: 0.0 };
         say_texels(&coarser(&map, &selection, &without, &Bar::new("trying coarser texels"))?);
     }
@@ -75,6 +61,33 @@ pub fn fit(arguments: &Fit) -> Result<()> {
         say_coverage(&fitted, &coverage(&fitted, &map, &without, &Bar::new("comparing"))?);
     }
     Ok(())
+}
+
+/// The model that is asked for; `None`: one for each texel.
+fn single_model(arguments: &Fit) -> Result<Option<Model>> {
+    let name = &arguments.model;
+    if name == "auto" {
+        return Ok(None);
+    }
+    let model = Model::parse(name).map_err(|error| match error {
+        Error::Request { what, remedy } => {
+            Error::Request { what, remedy: remedy.replace("choose one of", "choose auto or one of") }
+        }
+        other => other,
+    })?;
+    if arguments.tolerance.is_some() {
+        return Err(Error::request(
+            format!("--tolerance says nothing to --model {name}"),
+            "leave it out, or let --model auto choose",
+        ));
+    }
+    if arguments.identified_only && !matches!(model, Model::Phong { .. } | Model::SharedPhong { .. }) {
+        return Err(Error::request(
+            format!("--identified-only says nothing to --model {name}, which has no lobes"),
+            "leave it out, or fit phong to phong4 or auto",
+        ));
+    }
+    Ok(Some(model))
 }
 
 /// How fine texels the data support.
@@ -173,6 +186,15 @@ fn summarise(fitted: &ParameterMap, identified_only: bool) {
 
 /// `rigel render`.
 pub fn render(arguments: &Render) -> Result<()> {
+    let extension = extension(&arguments.out);
+    if !["exr", "png"].contains(&extension.as_str()) {
+        return Err(Error::input(
+            &arguments.out,
+            format!("'{extension}' is no picture format that this writes"),
+            "name a .png or .exr file",
+        ));
+    }
+    require_place(&arguments.out, true)?;
     let map = ParameterMap::read(&arguments.map)?;
     let (lens, pose) = match &arguments.camera {
         Some(path) => read_camera(path, arguments.pixel_centre)?,
@@ -188,27 +210,19 @@ pub fn render(arguments: &Render) -> Result<()> {
     };
     let radiance = |point, direction| map.radiance_at(map.surface.texel_at(map.texels, point), direction);
     let rendering = draw(&map.surface, &lens, &pose, radiance, &Bar::new("rendering"))?;
-    match extension(&arguments.out).as_str() {
-        "exr" => rendering.write_exr(&arguments.out)?,
-        "png" => {
-            let inside = rendering.inside.iter().zip(&rendering.radiance).filter(|(inside, _)| **inside);
-            let values: Vec<f32> = inside.flat_map(|(_, radiance)| *radiance).collect();
-            if values.is_empty() {
-                return Err(Error::request(
-                    format!("no pixel of {} would show the front of the surface", arguments.out.display()),
-                    "turn it to the camera (--pan, --tilt, --distance), or check the camera of --camera",
-                ));
-            }
-            let gamma = arguments.gamma.map_or_else(|| gamma_for_median(&values), Ok)?;
-            rendering.write_png(&arguments.out, gamma)?;
-        }
-        other => {
-            return Err(Error::input(
-                &arguments.out,
-                format!("'{other}' is no picture format that this writes"),
-                "name a .png or .exr file",
+    if extension == "exr" {
+        rendering.write_exr(&arguments.out)?;
+    } else {
+        let inside = rendering.inside.iter().zip(&rendering.radiance).filter(|(inside, _)| **inside);
+        let values: Vec<f32> = inside.flat_map(|(_, radiance)| *radiance).collect();
+        if values.is_empty() {
+            return Err(Error::request(
+                format!("no pixel of {} would show the front of the surface", arguments.out.display()),
+                "turn it to the camera (--pan, --tilt, --distance), or check the camera of --camera",
             ));
         }
+        let gamma = arguments.gamma.map_or_else(|| gamma_for_median(&values), Ok)?;
+        rendering.write_png(&arguments.out, gamma)?;
     }
     say!("wrote {}: {}x{} pixels", arguments.out.display(), lens.width, lens.height);
     Ok(())
@@ -236,6 +250,15 @@ fn seen_by_fit(map: &ParameterMap, session: &Session, references: &[usize]) -> O
 
 /// `rigel evaluate`.
 pub fn evaluate(arguments: &Evaluate) -> Result<()> {
+    let stem = arguments.map.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let out = arguments.out.clone().unwrap_or_else(|| arguments.map.with_file_name(format!("{stem}-errors")));
+    if out.join("session.toml").exists() {
+        return Err(Error::input(&out, "is a session", "choose a folder of its own for the errors"));
+    }
+    if out.is_file() {
+        return Err(Error::input(&out, "is a file", "name a folder for the errors"));
+    }
+    require_place(&if out.is_dir() { out.join("errors.csv") } else { out.clone() }, true)?;
     let map = ParameterMap::read(&arguments.map)?;
     let mut seen = None;
     let references = match (&arguments.references, &arguments.session) {
@@ -275,11 +298,6 @@ pub fn evaluate(arguments: &Evaluate) -> Result<()> {
     );
     if let Some(seen) = seen {
         say!("warning: {seen}");
-    }
-    let stem = arguments.map.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let out = arguments.out.clone().unwrap_or_else(|| arguments.map.with_file_name(format!("{stem}-errors")));
-    if out.join("session.toml").exists() {
-        return Err(Error::input(&out, "is a session", "choose a folder of its own for the errors"));
     }
     evaluation.write(&out)?;
     say!("wrote {}: errors.csv and a picture for each view (seen, predicted, difference x 4)", out.display());

@@ -12,7 +12,7 @@ use rigel::view_file::Calibration;
 
 use crate::arguments::{ExposureTimes, Import, Observe, Radiance};
 use crate::progress::Bar;
-use crate::say::say;
+use crate::say::{count_of, say};
 use crate::verbs::require_extension;
 
 /// `rigel import`.
@@ -49,7 +49,12 @@ pub fn import(arguments: &Import) -> Result<()> {
     }
     let views = manifest.views.len();
     let photographs: usize = (0..views).map(|view| imported.session.photographs(view).len()).sum();
-    say!("wrote {}: {views} views, {photographs} photographs", arguments.session.display());
+    say!(
+        "wrote {}: {}, {}",
+        arguments.session.display(),
+        count_of(views, "view"),
+        count_of(photographs, "photograph")
+    );
     Ok(())
 }
 

@@ -9,7 +9,7 @@ use rigel::rig::Rig;
 use crate::arguments::Plan;
 use crate::bench::greet_named;
 use crate::progress::Bar;
-use crate::say::say;
+use crate::say::{count_of, say};
 use crate::verbs::require_extension;
 
 /// A share of the error below which more views are not worth their time.
@@ -45,9 +45,9 @@ pub fn plan(arguments: &Plan) -> Result<()> {
     }
     plan.write_csv(&out)?;
     say!(
-        "wrote {}: {} views; photograph them with rigel capture SESSION --resume --directions {}",
+        "wrote {}: {}; photograph with rigel capture SESSION --resume --directions {}",
         out.display(),
-        plan.directions.len(),
+        count_of(plan.directions.len(), "view"),
         out.display()
     );
     Ok(())
@@ -61,9 +61,10 @@ fn of_255(part: f64) -> String {
 fn say_expected(plan: &ViewPlan, expected: &Expected, taken: usize) {
     let (now, after) = (expected.error(0), expected.error(plan.directions.len()));
     say!(
-        "expected error of {}, root mean square: {} of 255 with the {taken} views that there are, {} with {} more; {} of it no view removes (noise, and what the model does not say)",
+        "expected error of {}, root mean square: {} of 255 with the {} that there are, {} with {} more; {} of it no view removes (noise, and what the model does not say)",
         expected.model.name(),
         of_255(now),
+        count_of(taken, "view"),
         of_255(after),
         plan.directions.len(),
         of_255(expected.lasting)
@@ -89,7 +90,7 @@ fn say_expected(plan: &ViewPlan, expected: &Expected, taken: usize) {
                 let (azimuth, zenith) = (azimuth_rad.to_degrees().rem_euclid(360.0), zenith_rad.to_degrees());
                 format!(", {near} of them near azimuth {azimuth:.0}, zenith {zenith:.0},")
             });
-            say!("{count} more views{place} would halve what views can remove");
+            say!("{}{place} more would halve what views can remove", count_of(count, "view"));
         }
         None => {
             say!("more than {} more views would halve what views can remove", expected.removable.len() - 1);
@@ -100,7 +101,9 @@ fn say_expected(plan: &ViewPlan, expected: &Expected, taken: usize) {
 fn say_enough(expected: &Expected, enough: Option<usize>, tolerance: f64) {
     let wished = of_255(tolerance);
     match enough {
-        Some(count) => say!("{count} more views suffice for an error of {wished} of 255"),
+        Some(count) => {
+            say!("an error of {wished} of 255 needs {} more", count_of(count, "view"));
+        }
         None if expected.lasting > tolerance => say!(
             "warning: no number of views brings the error to {wished} of 255: what remains is noise, and what the model does not say"
         ),

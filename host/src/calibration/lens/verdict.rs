@@ -105,6 +105,9 @@ pub(super) fn verdict(calibration: &LensCalibration, settled: bool) -> String {
         .collect();
     let count = calibration.boards.len();
     let focal = calibration.sigmas()[0] / lens.fx;
+    let usual = median(&calibration.boards.iter().map(BoardFit::typical_px).collect::<Vec<_>>());
+    let coarse = usual > COARSE_PX;
+    let bent = calibration.excess.sqrt() > BENT;
     let found = if count < ENOUGH_BOARDS {
         format!("calibrated roughly, from too few boards ({count}; take ten or more)")
     } else if focal > ROUGH_FOCAL_LENGTH || typical > ROUGH_PX {
@@ -112,6 +115,8 @@ pub(super) fn verdict(calibration: &LensCalibration, settled: bool) -> String {
             "calibrated roughly (the focal length is known to {:.1} %; tilt the board more and go nearer)",
             100.0 * focal
         )
+    } else if coarse || bent || !settled {
+        "calibrated roughly".into()
     } else {
         "calibrated".into()
     };
@@ -137,13 +142,12 @@ pub(super) fn verdict(calibration: &LensCalibration, settled: bool) -> String {
             );
         }
     }
-    let usual = median(&calibration.boards.iter().map(BoardFit::typical_px).collect::<Vec<_>>());
-    if usual > COARSE_PX {
+    if coarse {
         text += &format!(
             "; the corners are {usual:.2} px from where the lens shows them, where 0.1 px is usual: the photographs are blurred or much compressed, or the board is not flat"
         );
     }
-    if calibration.excess.sqrt() > BENT {
+    if bent {
         text += &format!(
             "; the boards contradict each other {:.1} times more than the noise of their corners: glue the board to something flat",
             calibration.excess.sqrt()

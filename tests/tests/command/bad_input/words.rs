@@ -148,3 +148,68 @@ fn plans_that_cannot_be_made() {
         },
     ]);
 }
+
+#[test]
+fn what_is_wrong_is_said_before_the_work() {
+    hold(&[
+        Case {
+            spoil: nothing,
+            arguments: &["render", "none.exr", "--out", "picture.gif"],
+            names: &["picture.gif", ".png or .exr"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["render", "none.exr", "--out", "nowhere/picture.png"],
+            names: &["nowhere/picture.png", "cannot write"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["render", "phong.exr", "--gamma", "-1"],
+            names: &["--gamma", "positive number"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["render", "phong.exr", "--tilt", "nan"],
+            names: &["--tilt", "nan", "12.5"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["rig", "move", "--rig", "simulated", "--pan", "nan"],
+            names: &["--pan", "nan", "12.5"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["fit", "session/observations.rigel", "--model", "lobes"],
+            names: &["lobes", "auto", "phong2"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["fit", "session/observations.rigel", "--model", "phong", "--out", "nowhere/map.exr"],
+            names: &["nowhere/map.exr", "cannot write"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["import", "photos", "new", "--distance", "9in"],
+            names: &["9in", "unknown unit", "200mm"],
+        },
+        Case {
+            spoil: |folder| fs::write(folder.join("errors"), "mine").unwrap(),
+            arguments: &[
+                "evaluate",
+                "none.exr",
+                "--session",
+                "session",
+                "--views",
+                "view001",
+                "--out",
+                "errors",
+            ],
+            names: &["errors", "is a file", "folder"],
+        },
+        Case {
+            spoil: |folder| fs::write(folder.join("lens.toml"), "title = \"none\"").unwrap(),
+            arguments: &["render", "phong.exr", "--camera", "lens.toml", "--out", "picture.png"],
+            names: &["lens.toml", "cannot be used", "width, height, centre"],
+        },
+    ]);
+}
