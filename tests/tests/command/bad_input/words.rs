@@ -164,7 +164,7 @@ fn what_is_wrong_is_said_before_the_work() {
         },
         Case {
             spoil: nothing,
-            arguments: &["render", "phong.exr", "--gamma", "-1"],
+            arguments: &["render", "phong.exr", "--gamma", "0"],
             names: &["--gamma", "positive number"],
         },
         Case {
