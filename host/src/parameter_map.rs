@@ -52,6 +52,8 @@ pub struct Diagnostics {
     pub runner_up: Vec<u8>,
     /// And why each texel has the one that it has.
     pub reason: Vec<Reason>,
+    /// Texels with the same number above 0 have the same coefficients, an entry of the palette; empty where there is none.
+    pub palette: Vec<u8>,
     /// The part of (radiance + [`Uncertainty::floor`]) within which 68 % of measurements in unseen directions lie, averaged over
     /// them; infinite where that is not known.
     pub sigma: Vec<f32>,
@@ -101,15 +103,26 @@ impl ParameterMap {
         self.models.iter().map(Model::name).collect::<Vec<_>>().join(" ")
     }
 
-    /// Memory that the texels' coefficients need on average, bytes; one more where each texel names its model.
+    /// Memory that the texels' coefficients need on average, bytes; one more where each texel names its model or an entry of the
+    /// palette, whose coefficients count once.
     pub fn bytes_per_texel(&self) -> f64 {
         let sizes: Vec<usize> = self.models.iter().map(Model::bytes_per_texel).collect();
-        match self.choice.len() {
-            0 => sizes.iter().sum::<usize>() as f64,
-            count => {
-                1.0 + self.choice.iter().map(|c| sizes[usize::from(*c)]).sum::<usize>() as f64 / count as f64
-            }
+        let (count, palette) = (self.texels.count(), self.palette());
+        if self.choice.is_empty() && palette.is_empty() {
+            return sizes.iter().sum::<usize>() as f64;
         }
+        let mut counted = [false; 256];
+        let counts = |texel: &usize| {
+            let entry = palette.get(*texel).map_or(0, |entry| usize::from(*entry));
+            entry == 0 || !std::mem::replace(&mut counted[entry], true)
+        };
+        let bytes = (0..count).filter(counts).map(|texel| sizes[self.choice_at(texel)]).sum::<usize>();
+        1.0 + bytes as f64 / count as f64
+    }
+
+    /// See [`Diagnostics::palette`].
+    pub fn palette(&self) -> &[u8] {
+        self.diagnostics.as_ref().map_or(&[], |diagnostics| &diagnostics.palette)
     }
 
     /// Linear RGB radiance toward `direction` (unit vector, surface frame) at a fractional column and row (a texel's

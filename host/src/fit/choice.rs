@@ -20,12 +20,21 @@ pub enum Reason {
     Only = 4,
     /// A larger one predicts better, but by less for its size than elsewhere on the surface.
     Economy = 5,
+    /// An entry of the palette, which texels that look alike share, predicts them as well as a model of its own.
+    Palette = 6,
 }
 
 impl Reason {
     /// All of them, in the order of their numbers.
-    pub const ALL: [Self; 6] =
-        [Self::Best, Self::Sufficient, Self::Tolerance, Self::Neighbours, Self::Only, Self::Economy];
+    pub const ALL: [Self; 7] = [
+        Self::Best,
+        Self::Sufficient,
+        Self::Tolerance,
+        Self::Neighbours,
+        Self::Only,
+        Self::Economy,
+        Self::Palette,
+    ];
 }
 
 /// What a texel has.

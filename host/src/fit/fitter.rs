@@ -396,6 +396,12 @@ impl Fitter {
         true
     }
 
+    /// [`TexelFit::residual`] and [`TexelFit::views`] of a texel that parameters are given for.
+    pub(super) fn residual_of(&self, texel: &TexelObservations, parameters: &[f32]) -> (f32, u32) {
+        let samples = Samples::of(texel, self.options.relative_error, self.floor);
+        (self.residual(&samples, parameters), samples.len() as u32)
+    }
+
     fn residual(&self, samples: &Samples, parameters: &[f32]) -> f32 {
         let miss = |i: usize| samples.weights[i] * squared_miss(self.model, parameters, samples, i);
         let count = (3 * samples.len()).max(1) as f64;

@@ -6,7 +6,7 @@ use super::choice::{Choice, choose};
 use super::evidence::{Evidence, one_sigma};
 use super::fitter::{FitOptions, Fitter, TexelFit};
 use super::harmonics::HarmonicsMethod;
-use super::held_out::held_out;
+use super::held_out::{HeldOut, held_out};
 use super::model::Model;
 use super::pooled;
 use crate::geometry::Texels;
@@ -88,6 +88,14 @@ impl Selector {
         self.fitters.iter().map(Fitter::model).collect()
     }
 
+    pub(super) fn fitters(&self) -> &[Fitter] {
+        &self.fitters
+    }
+
+    pub(super) fn tolerance(&self) -> f32 {
+        self.tolerance
+    }
+
     /// The absolute part of the expected error, radiance; see [`Fitter::floor`].
     pub fn floor(&self) -> f64 {
         self.fitters[0].floor()
@@ -124,6 +132,11 @@ impl Selector {
         evidence.of.get(choice.model).map_or(f32::INFINITY, |prediction| prediction.sigma)
     }
 
+    /// The mean error of a texel's chosen model in unseen views, as [`Evidence::errors`]; infinite where that is not known.
+    pub fn error_in_unseen(&self, evidence: &Evidence, choice: &Choice) -> f32 {
+        evidence.of.get(choice.model).map_or(f32::INFINITY, |prediction| prediction.error)
+    }
+
     /// By how much the mean error in unseen views grows where `side` x `side` texels become one, relative: `tiles` are blocks of
     /// texels, row by row, so many columns wide. By the best single one of the constant and the models of lobes. `None` where no
     /// block fits in or too few views saw one.
@@ -150,14 +163,9 @@ impl Selector {
 
     /// Measures how much less sure the chosen models are near the horizon, on some of the texels.
     pub fn zenith_ratios(&self, texel: &TexelObservations, sigma: f32, choice: &Choice) -> ZenithRatios {
-        let mut ratios = ZenithRatios::default();
         let fitters = &self.fitters[choice.model..=choice.model];
         let views = held_out(fitters, &[&*texel.usable()]).pop().and_then(|mut views| views.pop().flatten());
-        for view in views.into_iter().flatten().filter(|_| sigma > 0.0) {
-            let band = &mut ratios.0[zenith_band(view.cosine)];
-            band.extend(view.relative.map(|miss| (choice.model, miss / sigma)));
-        }
-        ratios
+        ZenithRatios::of(choice.model, &views.unwrap_or_default(), sigma)
     }
 }
 
@@ -205,6 +213,16 @@ pub fn zenith_band(cosine: f32) -> usize {
 pub struct ZenithRatios([Vec<(usize, f32)>; BANDS]);
 
 impl ZenithRatios {
+    /// Those of a texel with this model, whose own standard deviation is `sigma`.
+    pub(super) fn of(model: usize, views: &[HeldOut], sigma: f32) -> Self {
+        let mut ratios = Self::default();
+        for view in views.iter().filter(|_| sigma > 0.0) {
+            let band = &mut ratios.0[zenith_band(view.cosine)];
+            band.extend(view.relative.map(|miss| (model, miss / sigma)));
+        }
+        ratios
+    }
+
     /// Adds those of other texels.
     pub fn extend(&mut self, others: Self) {
         self.0.iter_mut().zip(others.0).for_each(|(to, from)| to.extend(from));

@@ -25,6 +25,7 @@ const FLAGS: &str = "fit.flags";
 const CHOICE: &str = "fit.model";
 const RUNNER_UP: &str = "fit.runnerUp";
 const REASON: &str = "fit.reason";
+const PALETTE: &str = "fit.palette";
 const SIGMA: &str = "fit.sigma";
 const FLOOR: &str = "rigelSigmaFloor";
 const SEEN: &str = "rigelViews";
@@ -69,7 +70,7 @@ impl ParameterMap {
         if let Some(Diagnostics { residual, views, flags, runner_up, reason, sigma, .. }) = &self.diagnostics
         {
             let lengths = [residual.len(), views.len(), flags.len()];
-            let choices = [runner_up.len(), reason.len(), sigma.len()];
+            let choices = [runner_up.len(), reason.len(), sigma.len(), self.palette().len()];
             if lengths != [texels; 3] || choices.iter().any(|length| ![0, texels].contains(length)) {
                 return Err(Error::request("the diagnostics are not one for each texel", MAKE_AGAIN));
             }
@@ -104,6 +105,9 @@ impl ParameterMap {
                 let reasons: Vec<u8> = diagnostics.reason.iter().map(|reason| *reason as u8).collect();
                 channels.push(AnyChannel::new(RUNNER_UP, numbers(&diagnostics.runner_up)));
                 channels.push(AnyChannel::new(REASON, numbers(&reasons)));
+            }
+            if !diagnostics.palette.is_empty() {
+                channels.push(AnyChannel::new(PALETTE, numbers(&diagnostics.palette)));
             }
             if self.uncertainty.is_some() {
                 channels.push(AnyChannel::new(SIGMA, FlatSamples::F32(diagnostics.sigma.clone())));
@@ -271,6 +275,7 @@ impl ParameterMap {
                     .into_iter()
                     .map(|reason| Reason::ALL[usize::from(reason)])
                     .collect(),
+                palette: numbers(PALETTE, 256)?.unwrap_or_default(),
                 sigma: channel(SIGMA)
                     .map_or_else(Vec::new, |sigma| sigma.sample_data.values_as_f32().collect()),
                 seen: match attribute(SEEN) {
@@ -351,7 +356,7 @@ impl ParameterMap {
              y up, z out of the surface. Blend the radiance of neighbouring texels, not their coefficients. {FLAGS}, added up: 1 fewer views than \
              the model has unknowns, 2 none, 4 a parameter at its bound, 8 not converged, 16 a lobe that the views do not determine, 32 \
              held above zero. {REASON}: 0 best, 1 a larger model is hardly better, 2 within the tolerance, 3 the texels around, 4 too few \
-             views for another, 5 not worth a larger one."
+             views for another, 5 not worth a larger one, 6 shared. {PALETTE}: texels with the same number above 0 share their coefficients."
         )
     }
 }
@@ -401,7 +406,8 @@ mod tests {
         mixed.models = models;
         let diagnostics = mixed.diagnostics.as_mut().unwrap();
         diagnostics.runner_up = (0..15).map(|texel| (texel + 1) % 3).collect();
-        diagnostics.reason = (0..15).map(|texel| Reason::ALL[texel % 6]).collect();
+        diagnostics.reason = (0..15).map(|texel| Reason::ALL[texel % 7]).collect();
+        diagnostics.palette = (0..15).map(|texel| [0, 0, 0, 1, 2, 3][texel % 6]).collect();
         diagnostics.sigma = (0..15).map(|texel| 0.01 * texel as f32).collect();
         let zenith = (0..3).map(|model| [1.0, 0.9, 0.8, 1.1, 1.5, model as f32]).collect();
         mixed.uncertainty = Some(Uncertainty { floor: 0.25, zenith });
@@ -415,7 +421,8 @@ mod tests {
         let expected = 0.01 * 0.8 * (model.radiance(parameters, direction)[0] + 0.25);
         assert!((mixed.sigma(1, 0, direction).unwrap()[0] / expected - 1.0).abs() < 1e-5);
         assert!(back.parameters.iter().zip(&mixed.parameters).all(|(a, b)| (a - b).abs() <= 2e-3));
-        assert!((mixed.bytes_per_texel() - (1.0 + (6.0 + 20.0 + 34.0) / 3.0)).abs() < 1e-12);
+        // Nine texels have a model of their own, six share three entries.
+        assert!((mixed.bytes_per_texel() - (1.0 + 4.0 * (6.0 + 20.0 + 34.0) / 15.0)).abs() < 1e-12);
         mixed.choice[4] = 3;
         assert!(mixed.write(&path).unwrap_err().to_string().contains("choices"));
     }

@@ -8,9 +8,9 @@ use rayon::prelude::*;
 
 use super::fitted::{empty, leave_out};
 use super::memory::require;
-use super::{ParameterMap, Uncertainty};
-use crate::fit::{Choice, Evidence, FitOptions, Model, Selector, ZenithRatios};
-use crate::observation::ObservationMap;
+use super::{Diagnostics, ParameterMap, Uncertainty};
+use crate::fit::{Choice, Evidence, FitOptions, Model, Reason, Selector, TexelFit, ZenithRatios};
+use crate::observation::{ObservationMap, TexelObservations};
 use crate::progress::Progress;
 use crate::{Error, Result};
 
@@ -30,7 +30,8 @@ const MEASURED: usize = 1000;
 /// So many texels are compared at a time.
 const BATCH: usize = 128;
 
-/// Fits to every texel of `map` the smallest of `models` that suffices, leaving out the views `without`: see [`Selector`].
+/// Fits to every texel of `map` the smallest of `models` that suffices, leaving out the views `without`: see [`Selector`]. Texels
+/// that look alike share a fit where that predicts them as well: see [`Selector::palette`].
 ///
 /// # Errors
 /// [`Error::Input`] when none of the models can be fitted; [`Error::Request`] when the machine has too little memory;
@@ -49,6 +50,7 @@ pub fn select_surface(
     let go_on = || progress.step(done.load(Ordering::Relaxed), 2 * tiles);
     let selector = Selector::new(models, &selection.fit, selection.tolerance, &sample, &go_on)
         .map_err(|error| error.about(map.path()))?;
+    let palette = selector.palette(&sample, &go_on)?;
     drop(sample);
     let models = selector.models();
     let stride = models.iter().map(Model::parameter_count).max().unwrap_or(0);
@@ -73,27 +75,52 @@ pub fn select_surface(
         step()
     })?;
     let evidence = evidence.into_inner().map_err(|_| Error::Interrupted)?;
-    let chosen = selector.choose(&evidence, texels);
-    let sigma: Vec<f32> =
-        evidence.iter().zip(&chosen).map(|(evidence, choice)| selector.sigma(evidence, choice)).collect();
+    let mut chosen = selector.choose(&evidence, texels);
+    let [sigma, error] = [Selector::sigma, Selector::error_in_unseen].map(|of| -> Vec<f32> {
+        evidence.iter().zip(&chosen).map(|(evidence, choice)| of(&selector, evidence, choice)).collect()
+    });
     drop(evidence);
 
-    let target =
-        Mutex::new((vec![0f32; texels.count() * stride], empty(map, without), ZenithRatios::default()));
+    let diagnostics = Diagnostics {
+        palette: vec![0; texels.count()],
+        sigma: vec![f32::INFINITY; texels.count()],
+        ..empty(map, without)
+    };
+    let target = Mutex::new((vec![0f32; texels.count() * stride], diagnostics, ZenithRatios::default()));
     let measured_step = texels.count().div_ceil(MEASURED);
     (0..tiles).into_par_iter().try_for_each_init(Vec::new, |read, tile| {
         map.read_tile(tile, read)?;
         leave_out(read, without);
         let places: Vec<usize> = read.iter().map(|(texel, _)| index(*texel)).collect();
-        let choices: Vec<Choice> = places.iter().map(|&i| chosen[i]).collect();
-        let fits = selector.fit(&read.iter().map(|(_, texel)| texel).collect::<Vec<_>>(), &choices);
+        let shared = |(i, (_, texel)): (&usize, &(_, TexelObservations))| {
+            go_on()?;
+            Ok(selector.entry(&palette, texel, error[*i]))
+        };
+        let shared: Vec<Option<usize>> =
+            places.par_iter().zip(read.par_iter()).map(shared).collect::<Result<_>>()?;
+        let own: Vec<usize> = (0..read.len()).filter(|&k| shared[k].is_none()).collect();
+        let fits = selector.fit(
+            &own.iter().map(|&k| &read[k].1).collect::<Vec<_>>(),
+            &own.iter().map(|&k| chosen[places[k]]).collect::<Vec<Choice>>(),
+        );
         let mut ratios = ZenithRatios::default();
-        for (&i, (_, texel)) in places.iter().zip(read.iter()).filter(|(i, _)| **i % measured_step == 0) {
-            ratios.extend(selector.zenith_ratios(texel, sigma[i], &chosen[i]));
+        let is_measured = |k: usize| places[k] % measured_step == 0;
+        for (k, i) in own.iter().filter(|k| is_measured(**k)).map(|&k| (k, places[k])) {
+            ratios.extend(selector.zenith_ratios(&read[k].1, sigma[i], &chosen[i]));
+        }
+        let mut found: Vec<(usize, TexelFit, f32, usize)> =
+            own.iter().zip(fits).map(|(&k, fit)| (places[k], fit, sigma[places[k]], 0)).collect();
+        for (k, entry) in shared.into_iter().enumerate().filter_map(|(k, entry)| Some((k, entry?))) {
+            let (fit, sigma, of) = selector.shared_fit(&palette.entries()[entry], &read[k].1);
+            found.push((places[k], fit, sigma, entry + 1));
+            if is_measured(k) {
+                ratios.extend(of);
+            }
         }
         let mut target = target.lock().map_err(|_| Error::Interrupted)?;
         let (parameters, diagnostics, all) = &mut *target;
-        for (i, fit) in places.into_iter().zip(fits) {
+        for (i, fit, sigma, entry) in found {
+            (diagnostics.sigma[i], diagnostics.palette[i]) = (sigma, entry as u8);
             parameters[i * stride..][..fit.parameters.len()].copy_from_slice(&fit.parameters);
             (diagnostics.residual[i], diagnostics.views[i]) = (fit.residual, fit.views);
             diagnostics.flags[i] = fit.flags;
@@ -103,9 +130,14 @@ pub fn select_surface(
         step()
     })?;
     let (parameters, mut diagnostics, ratios) = target.into_inner().map_err(|_| Error::Interrupted)?;
+    for (choice, entry) in chosen.iter_mut().zip(&diagnostics.palette) {
+        if let Some(entry) = entry.checked_sub(1).map(|entry| &palette.entries()[usize::from(entry)]) {
+            let runner_up = if choice.model == entry.model { choice.runner_up } else { choice.model };
+            *choice = Choice { model: entry.model, runner_up, reason: Reason::Palette };
+        }
+    }
     diagnostics.runner_up = chosen.iter().map(|choice| choice.runner_up as u8).collect();
     diagnostics.reason = chosen.iter().map(|choice| choice.reason).collect();
-    diagnostics.sigma = sigma;
     let zenith = ratios.factors(models.len());
     let mut fitted = ParameterMap {
         surface: header.surface,
@@ -150,6 +182,11 @@ impl ParameterMap {
                 diagnostics.runner_up.clear();
                 diagnostics.reason.clear();
             }
+        }
+        if let Some(diagnostics) = &mut self.diagnostics
+            && diagnostics.palette.iter().all(|entry| *entry == 0)
+        {
+            diagnostics.palette.clear();
         }
     }
 }

@@ -152,6 +152,13 @@ fn summarise(fitted: &ParameterMap, identified_only: bool) {
     if !fitted.choice.is_empty() {
         say_choices(fitted, diagnostics);
     }
+    if let Some(entries) = fitted.palette().iter().max() {
+        let sharing = fitted.palette().iter().filter(|entry| **entry > 0).count();
+        say!(
+            "a palette of {entries} serves {:.0} % of the texels, which look alike",
+            100.0 * sharing as f64 / fitted.palette().len() as f64
+        );
+    }
     let mut residuals = diagnostics.residual.clone();
     residuals.sort_by(f32::total_cmp);
     say!(
