@@ -104,7 +104,7 @@ pub fn select_surface(
             &own.iter().map(|&k| chosen[places[k]]).collect::<Vec<Choice>>(),
         );
         let mut ratios = ZenithRatios::default();
-        let is_measured = |k: usize| places[k] % measured_step == 0;
+        let is_measured = |k: usize| places[k].is_multiple_of(measured_step);
         for (k, i) in own.iter().filter(|k| is_measured(**k)).map(|&k| (k, places[k])) {
             ratios.extend(selector.zenith_ratios(&read[k].1, sigma[i], &chosen[i]));
         }
