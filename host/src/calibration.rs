@@ -9,6 +9,7 @@ pub mod lens;
 mod look;
 mod luminance;
 mod misplaced;
+mod photometry;
 mod register;
 mod registration;
 mod rig_model;
@@ -22,6 +23,7 @@ pub use corners::{SquareCorners, ViewCorners, register_corners};
 pub use lens::{
     BoardView, LensCalibration, LensCovariance, LensModel, calibrate_lens, calibrate_photographs,
 };
+pub use photometry::{Photometry, ViewGain};
 pub use register::{RegisterOptions, register};
 pub use registration::{DeviationSigma, DroppedView, RegisteredView, Registration, view_geometry};
 pub use rig_model::RigModel;

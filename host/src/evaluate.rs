@@ -10,7 +10,7 @@ use std::path::Path;
 
 use half::f16;
 
-use crate::calibration::{Registration, view_geometry};
+use crate::calibration::{Photometry, Registration, view_geometry};
 use crate::geometry::{Lens, Pose};
 use crate::parameter_map::ParameterMap;
 use crate::picture::Picture;
@@ -229,19 +229,25 @@ fn beyond_range(levels: &[u16; 3]) -> Mask {
     if levels.contains(&Picture::FLOAT_WHITE) { RadianceImage::SATURATED } else { 0 }
 }
 
-/// Views of a session as references, by index; from where they were registered, if the session was.
+/// Views of a session as references, by index; from where they were registered, if the session was, and on one scale, as far as
+/// the session's [`Photometry`] tells it.
 ///
 /// # Errors
 /// [`Error::Input`] when a view's radiance, lens or pose is missing, or the lens is for pictures of another size.
 pub fn session_references(session: &Session, views: &[usize]) -> Result<Vec<Reference>> {
     let registration = Registration::of(session)?;
+    let photometry = Photometry::of(session)?;
     let load = |&view: &usize| {
         let (lens, pose) = view_geometry(session, registration.as_ref(), view)?;
         let path = session.radiance_path(view);
-        let radiance = RadianceImage::read_exr(&path)?;
+        let mut radiance = RadianceImage::read_exr(&path)?;
         check_size(&path, &radiance, &lens, "register again with the lens of these photographs")?;
+        let name = session.manifest.views[view].name.clone();
+        if let Some(photometry) = &photometry {
+            photometry.correct(&name, &mut radiance)?;
+        }
         Ok(Reference {
-            name: session.manifest.views[view].name.clone(),
+            name,
             lens,
             pose,
             radiance,

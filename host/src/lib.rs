@@ -2,7 +2,7 @@
 //!
 //! Each module is a room on the road that the data takes, and imports only rooms upstream of it:
 //! `geometry` → `rig`, `camera`, `sampling` → `session` → `radiance`, `calibration` → `observation` → `fit`,
-//! `parameter_map` → `render` → `evaluate`, `plan`, `chart`, `report`.
+//! `photometry`, `parameter_map` → `render` → `evaluate`, `plan`, `chart`, `report`.
 
 mod calendar;
 pub mod calibration;
@@ -18,6 +18,7 @@ pub mod geometry;
 pub mod measure;
 pub mod observation;
 pub mod parameter_map;
+pub mod photometry;
 pub mod picture;
 pub mod plan;
 pub mod progress;

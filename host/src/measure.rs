@@ -14,7 +14,9 @@ use crate::calibration::Vignetting;
 use crate::camera::exif::{self, OneFocalLength};
 use crate::picture::Picture;
 use crate::progress::Progress;
-use crate::radiance::{MeasuredTime, NoiseModel, RadianceImage, Response, Samples, Stack, merge};
+use crate::radiance::{
+    MeasuredTime, NoiseModel, RadianceImage, Response, Samples, Stack, debevec, debevec_response, merge,
+};
 use crate::session::Session;
 use crate::{Error, Result, file};
 
@@ -42,6 +44,17 @@ pub enum Times {
     Measured,
 }
 
+/// How a view's photographs become its radiance.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Merge {
+    /// The mean of least variance.
+    #[default]
+    Likelihood,
+    /// As Debevec and Malik made their published maps, for comparison: the response, where it is to be recovered, is theirs too, and
+    /// exposure times are taken as stated.
+    Debevec,
+}
+
 /// How to measure.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Options {
@@ -49,6 +62,8 @@ pub struct Options {
     pub response: ResponseChoice,
     /// How long the exposures were.
     pub times: Times,
+    /// How photographs are merged.
+    pub merge: Merge,
 }
 
 /// What was measured, to tell the user.
@@ -120,7 +135,24 @@ pub fn measure(session: &Session, options: &Options, progress: &dyn Progress) ->
     let step = || progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, total);
     let some: Vec<usize> = (0..looked_at).map(|i| bracketed[i * bracketed.len() / looked_at]).collect();
     let samples = samples(session, &some, &step)?;
+    let mut notes = vec![];
     let (response, noise) = match choice {
+        ResponseChoice::Recover if options.merge == Merge::Debevec => {
+            // The first of the longest brackets.
+            let count = |view: usize| session.photographs(view).len();
+            let longest = views
+                .iter()
+                .copied()
+                .reduce(|best, view| if count(view) > count(best) { view } else { best });
+            let view = longest.unwrap_or(views[0]);
+            let response = debevec_response(&Stack::of_view(session, view)?)?;
+            let noise = samples.noise(&response);
+            let name = &session.manifest.views[view].name;
+            notes.push(format!(
+                "the response is Debevec's and Malik's, of view {name}; its own doubt is not in the variance"
+            ));
+            (response, noise)
+        }
         ResponseChoice::Recover => {
             let learnt = samples.learn_unless(&|| progress.step(looked_at, total))?;
             options.times.judge(&learnt.doubtful)?;
@@ -132,7 +164,6 @@ pub fn measure(session: &Session, options: &Options, progress: &dyn Progress) ->
             (response, noise)
         }
     };
-    let mut notes = vec![];
     if bracketed.is_empty() {
         notes.push(
             "no view was photographed with two different exposure times: the noise is taken for that of an ordinary camera"
@@ -151,11 +182,12 @@ pub fn measure(session: &Session, options: &Options, progress: &dyn Progress) ->
     }
     progress.step(looked_at, total)?;
 
-    let folder = gather_in(
-        session,
-        &made_from(session, &views, &response, &noise, vignetting.as_ref(), options.times)?,
-    )?;
+    let folder =
+        gather_in(session, &made_from(session, &views, &response, &noise, vignetting.as_ref(), options)?)?;
     let description = match choice {
+        ResponseChoice::Recover if options.merge == Merge::Debevec => {
+            "recovered after Debevec and Malik".into()
+        }
         ResponseChoice::Recover => "recovered from the session's brackets".into(),
         ResponseChoice::File(path) => path.display().to_string(),
         ResponseChoice::Srgb => "srgb".into(),
@@ -170,7 +202,10 @@ pub fn measure(session: &Session, options: &Options, progress: &dyn Progress) ->
             if !path.is_file() {
                 let mut stack = Stack::of_view(session, view)?;
                 // sRGB is nobody's response exactly, and few 8 bits are linear: what contradicts a guess may be right.
-                if !response.is_assumed() && times_are_known(session, view) {
+                if options.merge == Merge::Likelihood
+                    && !response.is_assumed()
+                    && times_are_known(session, view)
+                {
                     let times = stack.times(&response, &noise);
                     let doubtful: Vec<MeasuredTime> =
                         times.iter().filter(|time| time.is_doubtful()).cloned().collect();
@@ -182,7 +217,10 @@ pub fn measure(session: &Session, options: &Options, progress: &dyn Progress) ->
                     }
                     corrected.lock().unwrap_or_else(PoisonError::into_inner).extend(doubtful);
                 }
-                let mut image = merge(&stack, &response, &noise)?;
+                let mut image = match options.merge {
+                    Merge::Likelihood => merge(&stack, &response, &noise)?,
+                    Merge::Debevec => debevec(&stack, &response, &noise)?,
+                };
                 if let (Some(vignetting), Some(gains)) = (&vignetting, &gains) {
                     vignetting.correct_by(gains, &mut image)?;
                 }
@@ -344,13 +382,15 @@ fn made_from(
     response: &Response,
     noise: &NoiseModel,
     vignetting: Option<&Vignetting>,
-    times: Times,
+    options: &Options,
 ) -> Result<String> {
+    let Options { times, merge, .. } = options;
     let mut hasher = DefaultHasher::new();
     for channel in 0..3 {
         response.exposure(channel).iter().for_each(|value| value.to_bits().hash(&mut hasher));
     }
-    let mut text = format!("response {:x}\n{noise:?}\n{vignetting:?}\n{times:?}\n", hasher.finish());
+    let mut text =
+        format!("response {:x}\n{noise:?}\n{vignetting:?}\n{times:?}\n{merge:?}\n", hasher.finish());
     for photograph in views.iter().flat_map(|&view| session.photographs(view)) {
         let path = session.photograph_path(photograph);
         let metadata = fs::metadata(&path).map_err(Error::io("read", &path))?;

@@ -4,6 +4,7 @@
 //! from these come the camera's [`Response`] and its [`NoiseModel`]; [`merge`] then turns each stack into a
 //! [`RadianceImage`]. The response is normalised once, so all views of a session share one unit.
 
+mod classical;
 mod exr_file;
 mod ghost;
 mod image;
@@ -21,6 +22,7 @@ mod stack;
 mod times;
 mod weights;
 
+pub use classical::{debevec, debevec_response};
 pub use image::{Mask, RadianceImage};
 pub use merge::merge;
 pub use noise::NoiseModel;

@@ -307,6 +307,16 @@ pub struct Radiance {
     /// Where the pixels contradict an exposure time: stated refuses the photograph, measured goes by the pixels
     #[arg(long, value_enum, default_value = "stated")]
     pub exposure_times: ExposureTimes,
+    /// How photographs are merged: likelihood (the mean of least variance), or debevec (as Debevec and Malik made their published
+    /// maps, for comparison)
+    #[arg(long, value_enum, default_value = "likelihood")]
+    pub merge: MergeChoice,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum MergeChoice {
+    Likelihood,
+    Debevec,
 }
 
 #[derive(Clone, Copy, ValueEnum)]

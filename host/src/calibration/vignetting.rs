@@ -1,6 +1,7 @@
 //! The fall-off of light towards the corners, learnt from photographs of an even surface.
 
 use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
 
 use crate::picture::Picture;
 use crate::radiance::{NoiseModel, RadianceImage, Response};
@@ -14,7 +15,8 @@ const SETTLED: f64 = 1e-3;
 
 /// Relative illumination: exp(Σ c_k r^(2k+2)), 1 at the centre, r being the distance from the centre in units of half
 /// the picture's diagonal. The exponential keeps it positive however it is extrapolated.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Vignetting {
     /// Width of the photographs it was learnt from, pixels.
     pub width: u32,
@@ -35,6 +37,20 @@ pub struct Vignetting {
 }
 
 impl Vignetting {
+    /// None, about the middle of the picture.
+    pub(crate) fn centred(width: u32, height: u32) -> Self {
+        Self {
+            width,
+            height,
+            centre_x: (f64::from(width) - 1.0) / 2.0,
+            centre_y: (f64::from(height) - 1.0) / 2.0,
+            coefficients: [0.0; 3],
+            residual: 0.0,
+            covariance: [[0.0; 5]; 5],
+            settled: false,
+        }
+    }
+
     /// Fits flat fields: photographs of an evenly lit even surface, of any exposure each.
     ///
     /// # Errors
@@ -91,7 +107,7 @@ impl Vignetting {
     }
 
     /// The logarithm of the illumination, and how it moves with the coefficients and the centre.
-    fn ln_at(&self, x: f64, y: f64) -> (f64, [f64; 5]) {
+    pub(crate) fn ln_at(&self, x: f64, y: f64) -> (f64, [f64; 5]) {
         let half = half_diagonal_squared(self.width, self.height);
         let (dx, dy) = (x - self.centre_x, y - self.centre_y);
         let r2 = (dx * dx + dy * dy) / half;
@@ -192,16 +208,7 @@ fn gather(flat: &Picture, index: usize, response: &Response, noise: &NoiseModel,
 fn fit(squares: &[Square], flats: usize, picture: &Picture) -> Vignetting {
     let (width, height) = (f64::from(picture.width), f64::from(picture.height));
     let half = half_diagonal_squared(picture.width, picture.height);
-    let mut v = Vignetting {
-        width: picture.width,
-        height: picture.height,
-        centre_x: (width - 1.0) / 2.0,
-        centre_y: (height - 1.0) / 2.0,
-        coefficients: [0.0; 3],
-        residual: 0.0,
-        covariance: [[0.0; 5]; 5],
-        settled: false,
-    };
+    let mut v = Vignetting::centred(picture.width, picture.height);
     let unknowns = 5 + 3 * flats;
     let mut gains = vec![0.0; 3 * flats];
     // The first step finds the coefficients; only then does the centre mean anything.

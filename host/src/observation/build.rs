@@ -4,6 +4,7 @@ use std::fs::File;
 use std::io::{BufWriter, Seek, SeekFrom, Write};
 use std::path::Path;
 
+use glam::DVec3;
 use half::f16;
 use rayon::prelude::*;
 
@@ -11,8 +12,8 @@ use super::gain;
 use super::map::{Header, ObservationMap, ObservedView, VALUES};
 use super::place::PlaceError;
 use super::sample::{Sample, ViewSampler};
-use crate::calibration::{Registration, view_geometry};
-use crate::geometry::Texels;
+use crate::calibration::{Photometry, Registration, view_geometry};
+use crate::geometry::{Surface, Texels};
 use crate::progress::Progress;
 use crate::radiance::RadianceImage;
 use crate::session::Session;
@@ -29,11 +30,13 @@ pub struct Options {
 const COARSE: u32 = 48;
 
 /// Builds the observation map of a session at `path`. A registered session's poses, lens and doubts are used, and the views that
-/// the registration has dropped are left out; any other has the poses of its manifest. Memory: one radiance picture and one view of the map.
+/// the registration has dropped are left out; any other has the poses of its manifest. Where the session has its [`Photometry`], the lamp's
+/// drift and the vignetting that it tells are removed, and its doubts are in the observations' sigma. Memory: one radiance picture and
+/// one view of the map.
 ///
 /// # Errors
 /// [`Error::Input`] when the session lacks radiance, poses, a lens or the surface's size; [`Error::Request`] when no texel was
-/// measured by any view; those of [`Registration::of`]; [`Error::Io`] when the disk is full.
+/// measured by any view; those of [`Registration::of`] and [`Photometry::of`]; [`Error::Io`] when the disk is full.
 pub fn observe(
     session: &Session,
     path: &Path,
@@ -42,17 +45,22 @@ pub fn observe(
 ) -> Result<ObservationMap> {
     let surface = session.manifest.surface()?;
     let registration = Registration::of(session)?;
+    let photometry = Photometry::of(session)?;
     let mut views = session.done_views();
     if let Some(registration) = &registration {
         views.retain(|&view| registration.view(&session.manifest.views[view].name).is_some());
     }
     let total = 2 * views.len();
+    let sample = |view: usize, texels: Texels| {
+        let area = Area { surface, centre_m: DVec3::ZERO, texels };
+        sample_area(session, registration.as_ref(), photometry.as_ref(), view, &area)
+    };
     let mut observed = vec![];
     let mut coarse: Vec<Vec<Option<Sample>>> = vec![];
     for (step, &view) in views.iter().enumerate() {
         progress.step(step, total)?;
         let texels = Texels { columns: COARSE, rows: COARSE };
-        coarse.push(sample_view(session, registration.as_ref(), view, texels)?);
+        coarse.push(sample(view, texels)?);
         let (_, pose) = view_geometry(session, registration.as_ref(), view)?;
         observed.push(ObservedView {
             name: session.manifest.views[view].name.clone(),
@@ -79,7 +87,7 @@ pub fn observe(
     let header = Header::new(surface, options.texels, unit, observed);
     let map = ObservationMap::create(path, &header, &mut |index| {
         progress.step(views.len() + index, total)?;
-        sample_view(session, registration.as_ref(), views[index], options.texels)
+        sample(views[index], options.texels)
     })?;
     progress.step(total, total)?;
     Ok(map)
@@ -109,18 +117,31 @@ impl ObservationMap {
     }
 }
 
-fn sample_view(
+/// A rectangle in the surface's plane.
+pub(crate) struct Area {
+    /// Its size.
+    pub surface: Surface,
+    /// Where its centre is, surface frame.
+    pub centre_m: DVec3,
+    /// How finely it is divided.
+    pub texels: Texels,
+}
+
+/// What one view measured of each texel of an area, row by row.
+pub(crate) fn sample_area(
     session: &Session,
     registration: Option<&Registration>,
+    photometry: Option<&Photometry>,
     view: usize,
-    texels: Texels,
+    area: &Area,
 ) -> Result<Vec<Option<Sample>>> {
-    let path = session.radiance_path(view);
+    let Area { surface, texels, .. } = *area;
+    let (path, name) = (session.radiance_path(view), &session.manifest.views[view].name);
     if !path.is_file() {
         return Err(Error::input(path, "is missing", "run `rigel radiance` first"));
     }
-    let image = RadianceImage::read_exr(&path)?;
-    let (lens, pose) = view_geometry(session, registration, view)?;
+    let mut image = RadianceImage::read_exr(&path)?;
+    let (lens, mut pose) = view_geometry(session, registration, view)?;
     if (lens.width, lens.height) != (image.width, image.height) {
         return Err(Error::input(
             &path,
@@ -131,12 +152,24 @@ fn sample_view(
             "run `rigel radiance` again, or give the lens of these photographs",
         ));
     }
-    let surface = session.manifest.surface()?;
-    let registered = registration.and_then(|all| all.view(&session.manifest.views[view].name));
+    if let Some(photometry) = photometry {
+        photometry.correct(name, &mut image)?;
+    }
+    // As seen from the area's centre.
+    pose.centre_m -= area.centre_m;
+    let registered = registration.and_then(|all| all.view(name)).filter(|_| area.centre_m == DVec3::ZERO);
     let place = registered.map(|view| PlaceError::of(view, &lens, &surface));
     let sampler =
         ViewSampler { image: &image, lens: &lens, pose: &pose, place: place.as_ref(), surface, texels };
-    let sample = |index: usize| sampler.sample(index as u32 % texels.columns, index as u32 / texels.columns);
+    let sample = |index: usize| {
+        let (column, row) = (index as u32 % texels.columns, index as u32 / texels.columns);
+        let sample = sampler.sample(column, row)?;
+        let Some(photometry) = photometry else { return Some(sample) };
+        let pixel = lens.project(pose.to_camera(surface.texel_centre(texels, column, row)))?;
+        let doubt = photometry.relative_variance(name, pixel) as f32 / 3.0;
+        let squares = sample.radiance.iter().map(|value| value * value).sum::<f32>();
+        Some(Sample { sigma: (sample.sigma * sample.sigma + doubt * squares).sqrt(), ..sample })
+    };
     Ok((0..texels.count()).into_par_iter().map(sample).collect())
 }
 

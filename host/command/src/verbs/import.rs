@@ -4,13 +4,13 @@ use std::path::PathBuf;
 
 use rigel::Result;
 use rigel::calibration::Registration;
-use rigel::measure::{Options as MeasureOptions, ResponseChoice, Times, measure};
+use rigel::measure::{Merge, Options as MeasureOptions, ResponseChoice, Times, measure};
 use rigel::observation::{self, observe as build};
 use rigel::session::Session;
 use rigel::session::import::{Options, Source, import as run};
 use rigel::view_file::Calibration;
 
-use crate::arguments::{ExposureTimes, Import, Observe, Radiance};
+use crate::arguments::{ExposureTimes, Import, MergeChoice, Observe, Radiance};
 use crate::progress::Bar;
 use crate::say::{count_of, say};
 use crate::verbs::require_extension;
@@ -72,7 +72,11 @@ pub fn radiance(arguments: &Radiance) -> Result<()> {
         ExposureTimes::Stated => Times::Stated,
         ExposureTimes::Measured => Times::Measured,
     };
-    let options = MeasureOptions { response: choice, times };
+    let merge = match arguments.merge {
+        MergeChoice::Likelihood => Merge::Likelihood,
+        MergeChoice::Debevec => Merge::Debevec,
+    };
+    let options = MeasureOptions { response: choice, times, merge };
     let measured = measure(&session, &options, &bar).map_err(|error| error.about(session.folder()))?;
     for note in &measured.notes {
         say!("note: {note}");

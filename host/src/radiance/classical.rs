@@ -1,0 +1,119 @@
+//! The merge of a published method as radiance that the rest of the road can use: with flags, and a variance.
+
+use rayon::prelude::*;
+
+use super::{NoiseModel, RadianceImage, Response, Stack, merge, others};
+use crate::Result;
+
+/// Pixels and smoothness of the response with which the published map of the memorial church is met (`tests/tests/radiance.rs`).
+const PIXELS: usize = 70;
+const SMOOTHNESS: f64 = 10.0;
+
+/// The response after Debevec and Malik, of one stack: [`others::debevec_response`] as their published map was made.
+///
+/// # Errors
+/// Those of [`others::debevec_response`].
+pub fn debevec_response(stack: &Stack) -> Result<Response> {
+    others::debevec_response(stack, PIXELS, SMOOTHNESS)
+}
+
+/// The radiance after Debevec and Malik with the weights that made their published map ([`others::rise`]), for comparison.
+///
+/// The method itself states no variance and flags nothing. The variance here is that of the noise under its weights, and what its
+/// photographs contradict each other by beyond noise: saturated ones count in it, and draw highlights down. The response's own
+/// doubt is not in it. Flags, and infinite variances where nothing was measured, are those of [`merge`].
+///
+/// # Errors
+/// Those of [`others::debevec_merge`] and [`merge`].
+pub fn debevec(stack: &Stack, response: &Response, noise: &NoiseModel) -> Result<RadianceImage> {
+    let radiance = others::debevec_merge(stack, response, others::rise)?;
+    let mut image = merge(stack, response, noise)?;
+    let says = [0, 1, 2].map(|channel| {
+        let table = response.exposure(channel);
+        let say = |level: usize| Level {
+            weight: others::rise(level),
+            ln_exposure: f64::from(table[level].max(1e-12)).ln(),
+            variance: noise.relative_variance(response, channel, level),
+        };
+        (0..table.len()).map(say).collect::<Vec<Level>>()
+    });
+    let times: Vec<f64> = stack.exposure_s.iter().map(|time_s| time_s.ln()).collect();
+    image.variance.par_iter_mut().enumerate().for_each(|(pixel, variance)| {
+        for (c, variance) in variance.iter_mut().enumerate().filter(|(_, variance)| variance.is_finite()) {
+            let merged = f64::from(radiance[pixel][c]);
+            let levels = stack.pictures.iter().map(|picture| &says[c][usize::from(picture.levels[pixel][c])]);
+            *variance = (relative_variance(levels.zip(&times), merged.ln()) * merged * merged) as f32;
+        }
+    });
+    Ok(RadianceImage { radiance, ..image })
+}
+
+/// What one level of one channel says.
+struct Level {
+    weight: f64,
+    ln_exposure: f64,
+    /// Relative, of the exposure.
+    variance: f64,
+}
+
+/// Of exp(weighted mean): the noise's own, and the weighted mean square of what the photographs are off it less what noise explains.
+fn relative_variance<'a>(levels: impl Iterator<Item = (&'a Level, &'a f64)>, ln_merged: f64) -> f64 {
+    let (mut total, mut noise, mut single, mut off) = (0.0, 0.0, 0.0, 0.0);
+    for (level, ln_time) in levels.filter(|(level, _)| level.weight > 0.0) {
+        total += level.weight;
+        noise += level.weight.powi(2) * level.variance;
+        single += level.weight * level.variance;
+        off += level.weight * (level.ln_exposure - ln_time - ln_merged).powi(2);
+    }
+    if total == 0.0 {
+        return f64::INFINITY;
+    }
+    let noise = noise / (total * total);
+    noise + (off / total - (single / total - noise)).max(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Samples;
+    use super::super::simulated::{self, CURVES};
+    use super::*;
+
+    /// Where no photograph is saturated the method is sound and its variance true; where some are, it is drawn down, and says so.
+    #[test]
+    fn the_variance_covers_what_the_saturated_photographs_do() {
+        let (_, curve) = CURVES[0];
+        let scene = simulated::scene(256, 192, 1);
+        let table: Vec<f32> = (0..256).map(|z| simulated::truth(curve, z) as f32).collect();
+        let response = Response::from_tables([table.clone(), table.clone(), table]);
+        let unit = simulated::truth(curve, 128);
+        let stack = simulated::shoot(&scene, 256, &[4.0, 2.0, 1.0, 0.5], curve, 1.0, 2);
+        let mut samples = Samples::default();
+        samples.add(&stack).unwrap();
+        let image = debevec(&stack, &response, &samples.noise(&response)).unwrap();
+        // Part within one standard deviation, and the mean error in per cent, over a range of the longest photograph's exposure.
+        let within = |range: std::ops::Range<f64>| {
+            let (mut inside, mut all, mut off) = (0.0, 0.0, 0.0);
+            for (i, truth) in scene.iter().enumerate().filter(|(i, _)| image.mask[*i] == 0) {
+                for (c, truth) in
+                    truth.iter().enumerate().filter(|(_, truth)| range.contains(&(*truth * 4.0)))
+                {
+                    let error = f64::from(image.radiance[i][c]) * unit / truth - 1.0;
+                    let sigma = f64::from(image.variance[i][c]).sqrt() * unit / truth;
+                    inside += f64::from(u8::from(error.abs() <= sigma));
+                    off += error;
+                    all += 1.0;
+                }
+            }
+            println!(
+                "{range:?}: {:.1} % within sigma, mean error {:.2} %",
+                100.0 * inside / all,
+                100.0 * off / all
+            );
+            (inside / all, off / all)
+        };
+        let (sound, _) = within(0.05..0.5);
+        let (drawn, off) = within(2.0..4.0);
+        assert!((0.6..0.9).contains(&sound), "{sound}");
+        assert!(off < -0.1 && drawn > 0.6, "{off} {drawn}");
+    }
+}
