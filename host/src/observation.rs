@@ -11,7 +11,7 @@ use std::borrow::Cow;
 use glam::Vec3;
 
 pub(crate) use build::{Area, sample_area};
-pub use build::{Options, observe};
+pub use build::{Options, observe, observe_under};
 pub use map::{Header, ObservationMap, ObservedView};
 pub use sample::Sample;
 

@@ -17,12 +17,12 @@ use std::collections::BTreeMap;
 use glam::{DVec2, DVec3};
 use nalgebra::{DMatrix, DVector};
 
-use crate::Result;
 use crate::calibration::{Photometry, Registration, ViewGain, Vignetting};
 use crate::fit::{FitOptions, Fitter, Model};
 use crate::geometry::Surface;
 use crate::progress::Progress;
 use crate::session::{Event, Session};
+use crate::{Error, Result};
 use components::{Component, Views};
 use equations::{Equations, Solved, TERMS, Unknowns};
 use looks::{Texel, look};
@@ -60,12 +60,17 @@ const FEWEST_VIEWS: usize = 12;
 const VIEWS_FOR_TWO_LOBES: usize = 30;
 /// Models and gains are fitted in turn so many times.
 const ROUNDS: usize = 4;
-/// The fall-off is told where it is surer than this, over the places where the surface was seen, and chance makes one of its size
-/// once in a thousand sessions (chi-squared of five degrees of freedom).
+/// What all models get wrong in one view alike, relative: in all channels, and in each. No patch tells it, so no gain is believed to be
+/// surer. (On simulated surfaces 0.0005 in the root mean square.)
+const COMMON: f64 = 5e-4;
+const COLOUR: f64 = 3e-4;
+/// The fall-off is told where it is surer than this over the places where the surface was seen, and so many times larger than its
+/// standard deviation there.
 const SURE: f64 = 0.03;
-const CHANCE: f64 = 20.5;
-/// Gains that no lamp explains are held to this, relative.
-const HELD: f64 = 2e-4;
+const TIMES: f64 = 3.0;
+/// A reference patch whose gains differ from those of the surface by more is no reference (relative; standard deviations).
+const STRANGE: f64 = 0.01;
+const STRANGE_TIMES: f64 = 5.0;
 
 /// Finds what there is to find; nothing of a session whose exposure times are unknown, where every view has a gain of its own anyway.
 /// Everything is said in the notes of the result.
@@ -112,14 +117,25 @@ pub fn find(session: &Session, options: &Options, progress: &dyn Progress) -> Re
         lamp(&estimate, &seen, &names, &mut found);
     }
     if let Some(start) = falls_off {
-        fall_off(&estimate, &seen, &whole.pixels(), options, start, &mut found);
+        fall_off(&estimate, &seen, &whole.texels, options, start, &mut found);
     }
     if let (true, Some(patch)) = (options.lamp, options.reference) {
         let side = Surface { width_m: patch.side_m, height_m: patch.side_m };
-        let at = (side, patch.centre_m.extend(0.0));
+        let (patch_at, at) = (patch.centre_m, (side, patch.centre_m.extend(0.0)));
         let patch = look(session, registration.as_ref(), &views, at, &found, progress)?;
-        let estimate = self::estimate(&patch, views.len(), Model::Constant, None, progress)?;
-        lamp(&estimate, &Views { direction: &[], time: &order }, &names, &mut found);
+        if patch.pixels().is_empty() {
+            return Err(Error::request(
+                format!(
+                    "no view shows the reference patch at {:.1}, {:.1} mm",
+                    1e3 * patch_at.x,
+                    1e3 * patch_at.y
+                ),
+                "give its centre from the centre of the surface, x right and y up",
+            ));
+        }
+        let reference = self::estimate(&patch, views.len(), Model::Constant, None, progress)?;
+        lamp(&reference, &Views { direction: &[], time: &order }, &names, &mut found);
+        found.notes.extend(reference.contradiction(&estimate));
     }
     Ok(found)
 }
@@ -195,11 +211,28 @@ impl Estimate {
         let gains = &self.unknowns.ln_gain;
         let value = DVector::from_fn(views, |v, _| (0..3).map(|c| mix[c] * gains[3 * v + c]).sum());
         let covariance = &self.solved.covariance;
+        let wrong = (mix.iter().sum::<f64>() * COMMON).powi(2) + COLOUR * COLOUR;
         let of = |v: usize, w: usize| {
             let pairs = (0..9).map(|i| (i / 3, i % 3));
-            pairs.map(|(a, b)| mix[a] * covariance[(3 * v + a, 3 * w + b)] * mix[b]).sum::<f64>()
+            let found = pairs.map(|(a, b)| mix[a] * covariance[(3 * v + a, 3 * w + b)] * mix[b]).sum::<f64>();
+            if v == w { found + wrong } else { found }
         };
         (value, DMatrix::from_fn(views, views, of))
+    }
+
+    /// What is to be said where a reference patch tells of another lamp than the surface does.
+    fn contradiction(&self, surface: &Estimate) -> Option<String> {
+        let [(here, sure_here), (there, sure_there)] =
+            [self, surface].map(|estimate| estimate.mixed(MIXES[0]));
+        let views = here.len() as f64;
+        let off = ((here - there).norm_squared() / views).sqrt() * MIXES[0][0];
+        let sigma = ((sure_here.trace() + sure_there.trace()) / views).sqrt() * MIXES[0][0];
+        (off > STRANGE && off > STRANGE_TIMES * sigma).then(|| {
+            format!(
+                "warning: the reference patch tells of another lamp than the surface does, by {:.1} %: it is not matte, or not where it is said to be",
+                100.0 * off
+            )
+        })
     }
 
     fn components(&self, seen: &Views) -> [Component; 3] {
@@ -253,7 +286,7 @@ fn lamp(estimate: &Estimate, seen: &Views, names: &[&str], found: &mut Photometr
 fn fall_off(
     estimate: &Estimate,
     seen: &Views,
-    pixels: &[DVec2],
+    texels: &[Texel],
     options: &Options,
     (width, height): (u32, u32),
     found: &mut Photometry,
@@ -262,11 +295,10 @@ fn fall_off(
     let n = estimate.unknowns.len();
     // What is known of the gains: as much as the lamp varies at all, and what the surface does in all texels alike.
     let mut information = estimate.solved.information.clone();
-    let values = estimate.unknowns.values();
-    let right = &information * &values;
+    let right = &information * estimate.unknowns.values();
     for (component, mix) in estimate.components(seen).iter().zip(MIXES) {
         let lamp = options.lamp && component.is_there;
-        let Some(inverse) = component.prior(seen, lamp, HELD).cholesky().map(|factor| factor.inverse())
+        let Some(inverse) = component.prior(seen, lamp, COMMON).cholesky().map(|factor| factor.inverse())
         else {
             continue;
         };
@@ -291,6 +323,7 @@ fn fall_off(
     vignetting.residual = estimate.residual;
     vignetting.settled = true;
 
+    let pixels: Vec<DVec2> = texels.iter().flat_map(|texel| texel.pixel.iter().copied()).collect();
     // The scale is nobody's: what counts is by how much places differ.
     let slopes: Vec<[f64; TERMS]> = pixels.iter().map(|pixel| vignetting.ln_at(pixel.x, pixel.y).1).collect();
     let mean: [f64; TERMS] =
@@ -301,31 +334,51 @@ fn fall_off(
             .map(|(i, k)| (slope[i] - mean[i]) * vignetting.covariance[i][k] * (slope[k] - mean[k]))
             .sum::<f64>()
     };
-    let sigma = (slopes.iter().map(variance).sum::<f64>() / slopes.len() as f64).max(0.0).sqrt();
-    let terms = DVector::from_fn(TERMS, |i, _| solution[first + i]);
-    let own = inverse.view((first, first), (TERMS, TERMS)).into_owned();
-    let chi = own.cholesky().map_or(0.0, |factor| terms.dot(&factor.solve(&terms)));
-    let corner = vignetting.at(0.0, 0.0);
+    let told = (slopes.iter().map(variance).sum::<f64>() / slopes.len() as f64).max(0.0).sqrt();
+    // No surer than what models get wrong; the less the places of a texel differ, the more that counts.
+    let sigma = told.hypot(COMMON * lever(texels, &vignetting));
+    let wider = (sigma / told.max(1e-3 * COMMON)).powi(2);
+    let own = vignetting.covariance.map(|row| row.map(|value| wider * value));
+    let values: Vec<f64> = pixels.iter().map(|pixel| vignetting.ln_at(pixel.x, pixel.y).0).collect();
+    let size = (scatter(&values) / values.len() as f64).sqrt();
+    let (least, most) = values.iter().fold((f64::MAX, f64::MIN), |(l, m), v| (v.min(l), v.max(m)));
     if sigma > SURE {
         found.notes.push(format!(
             "no flats, and the views do not tell the vignetting (to {:.1} % only, where the surface was seen): it stays in the radiance; photograph flat fields",
             100.0 * sigma
         ));
-    } else if chi < CHANCE {
+    } else if size < TIMES * sigma {
         found.notes.push(format!(
-            "no flats, and the views show no vignetting (to {:.1} %, where the surface was seen): nothing is changed",
+            "no flats, and the views show no vignetting (to {:.2} %, where the surface was seen): nothing is changed",
             100.0 * sigma
         ));
     } else {
-        let doubt = vignetting.relative_variance_at(0.0, 0.0).sqrt();
+        vignetting.covariance = own;
         found.notes.push(format!(
-            "no flats: vignetting is found from the overlapping views, {:.0} % darker in the top left corner (to {:.1} %), to {:.1} % where the surface was seen; it is removed",
-            100.0 * (1.0 - corner),
-            100.0 * doubt,
+            "no flats: vignetting is found from the overlapping views, {:.0} % from the brightest to the darkest place where the surface was seen, to {:.2} % there; it is removed",
+            100.0 * (1.0 - (least - most).exp()),
             100.0 * sigma
         ));
         found.vignetting = Some(vignetting);
     }
+}
+
+/// How much more places differ in their distance from the centre (squared, as the fall-off goes) from texel to texel than within a texel from
+/// view to view.
+fn lever(texels: &[Texel], vignetting: &Vignetting) -> f64 {
+    let (mut all, mut within) = (vec![], 0.0);
+    for texel in texels.iter().filter(|texel| !texel.pixel.is_empty()) {
+        let r2: Vec<f64> = texel.pixel.iter().map(|pixel| vignetting.ln_at(pixel.x, pixel.y).1[0]).collect();
+        within += scatter(&r2);
+        all.extend(r2);
+    }
+    (scatter(&all) / within.max(f64::MIN_POSITIVE)).sqrt()
+}
+
+/// Sum of the squares about the mean.
+fn scatter(values: &[f64]) -> f64 {
+    let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
+    values.iter().map(|value| (value - mean).powi(2)).sum()
 }
 
 fn middle(mut values: Vec<f64>) -> f64 {

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Deserializer, Serializer};
 
+use glam::DVec2;
+
 use crate::geometry::{BoardSize, Surface, Texels};
 use crate::{Error, Result};
 
@@ -28,6 +30,26 @@ pub fn parse_length_m(text: &str) -> Result<f64> {
             Err(Error::request(format!("the length '{text}' is not a positive number"), "write it as 200mm"))
         }
     }
+}
+
+/// A square patch of a plane: `-75mm,37mm,20mm` is its centre (x right, y up) and its side, metres.
+///
+/// # Errors
+/// [`Error::Request`] for anything else.
+pub fn parse_patch(text: &str) -> Result<(DVec2, f64)> {
+    let parts: Vec<&str> = text.split(',').map(str::trim).collect();
+    let [x, y, side] = parts[..] else {
+        return Err(Error::request(
+            format!("the patch '{text}' is not three lengths"),
+            "write its centre and its side as -75mm,37mm,20mm",
+        ));
+    };
+    let coordinate = |text: &str| match text.strip_prefix('-') {
+        Some(rest) => parse_length_m(rest).map(|length_m| -length_m),
+        None if text.trim_end_matches(|c: char| c.is_alphabetic()).trim().parse() == Ok(0.0) => Ok(0.0),
+        None => parse_length_m(text),
+    };
+    Ok((DVec2::new(coordinate(x)?, coordinate(y)?), parse_length_m(side)?))
 }
 
 /// Reads a surface's extent, `200mmx150mm` or `200x150mm`: width, then height.
@@ -195,6 +217,15 @@ mod tests {
         assert_eq!(parse_board("9x6").unwrap(), BoardSize { columns: 9, rows: 6 });
         for bad in ["9", "9x", "2x6", "9x101", "-9x6", "9x6mm"] {
             assert!(parse_board(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn a_patch_is_a_place_and_a_side() {
+        assert_eq!(parse_patch("-75mm, 37mm,2cm").unwrap(), (DVec2::new(-0.075, 0.037), 0.02));
+        assert_eq!(parse_patch("0,0mm,20mm").unwrap(), (DVec2::ZERO, 0.02));
+        for bad in ["", "1mm,2mm", "1mm,2mm,-3mm", "1,2mm,3mm", "--1mm,2mm,3mm", "1mm,2mm,3mm,4mm"] {
+            assert!(parse_patch(bad).is_err(), "{bad}");
         }
     }
 

@@ -3,9 +3,12 @@
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use glam::DVec2;
 use rigel::calibration::BoardSize;
 use rigel::geometry::{Surface, Texels};
-use rigel::units::{parse_board, parse_degrees, parse_length_m, parse_part, parse_surface, parse_texels};
+use rigel::units::{
+    parse_board, parse_degrees, parse_length_m, parse_part, parse_patch, parse_surface, parse_texels,
+};
 
 /// Captures how a surface looks from every direction and fits the smallest model that reproduces it.
 #[derive(Parser)]
@@ -350,6 +353,16 @@ pub struct Observe {
     /// The observation map [default: observations.rigel in the session]
     #[arg(long)]
     pub out: Option<PathBuf>,
+    /// A matte patch that tells how bright the lamp was in each view, in place of the surface: its centre (x right and y up from the
+    /// centre of the surface) and its side, such as -75mm,37mm,20mm; it may lie beside the surface
+    #[arg(long, value_name = "X,Y,SIDE", allow_hyphen_values = true, conflicts_with = "keep_drift", value_parser = parse_patch)]
+    pub reference: Option<(DVec2, f64)>,
+    /// Do not remove the lamp's drift over the session
+    #[arg(long)]
+    pub keep_drift: bool,
+    /// Do not remove vignetting that the overlapping views tell where there are no flats
+    #[arg(long)]
+    pub keep_vignetting: bool,
 }
 
 #[derive(Args)]

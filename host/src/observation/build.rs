@@ -43,9 +43,22 @@ pub fn observe(
     options: &Options,
     progress: &dyn Progress,
 ) -> Result<ObservationMap> {
+    observe_under(session, Photometry::of(session)?.as_ref(), path, options, progress)
+}
+
+/// The same with a photometry that the session does not keep (yet).
+///
+/// # Errors
+/// Those of [`observe`].
+pub fn observe_under(
+    session: &Session,
+    photometry: Option<&Photometry>,
+    path: &Path,
+    options: &Options,
+    progress: &dyn Progress,
+) -> Result<ObservationMap> {
     let surface = session.manifest.surface()?;
     let registration = Registration::of(session)?;
-    let photometry = Photometry::of(session)?;
     let mut views = session.done_views();
     if let Some(registration) = &registration {
         views.retain(|&view| registration.view(&session.manifest.views[view].name).is_some());
@@ -53,7 +66,7 @@ pub fn observe(
     let total = 2 * views.len();
     let sample = |view: usize, texels: Texels| {
         let area = Area { surface, centre_m: DVec3::ZERO, texels };
-        sample_area(session, registration.as_ref(), photometry.as_ref(), view, &area)
+        sample_area(session, registration.as_ref(), photometry, view, &area)
     };
     let mut observed = vec![];
     let mut coarse: Vec<Vec<Option<Sample>>> = vec![];

@@ -11,8 +11,8 @@ const ALIKE_RAD: f64 = 0.5;
 const LEAST: f64 = 3e-4;
 const RATIO: f64 = 1.8;
 const TRIED: i32 = 13;
-/// Twice the gain in log likelihood beyond which a lamp that varies is no chance.
-const CHANCE: f64 = 10.0;
+/// Twice the gain in log likelihood, less the price of the components, beyond which a lamp that varies is no chance.
+const CHANCE: f64 = 8.0;
 /// Rounds over the components at most.
 const ROUNDS: usize = 4;
 
@@ -48,8 +48,17 @@ impl Component {
             let ln_root = factor.l_dirty().diagonal().iter().map(|d| d.ln()).sum::<f64>();
             -ln_root - 0.5 * value.dot(&factor.solve(value))
         };
-        let without = climb([0.0; 3], &[2], &likelihood);
-        let with = climb(without.1, &[0, 1, 2], &likelihood);
+        // A component that explains no more than it costs is left out (Schwarz: the logarithm of the number of views for each).
+        let price = 0.5 * (views as f64).ln();
+        let best = |choices: &[&[usize]]| {
+            let climbed = choices.iter().map(|free| {
+                let (found, sigma) = climb(free, &likelihood);
+                (found - price * free.len() as f64, sigma)
+            });
+            climbed.fold((f64::NEG_INFINITY, [0.0; 3]), |best, one| if one.0 > best.0 { one } else { best })
+        };
+        let without = best(&[&[], &[2]]);
+        let with = best(&[&[0], &[1], &[0, 1], &[0, 2], &[1, 2], &[0, 1, 2]]);
         let is_there = 2.0 * (with.0 - without.0) > CHANCE;
         let none = vec![0.0; views];
         if !is_there {
@@ -106,9 +115,9 @@ fn kernels(seen: &Views) -> [DMatrix<f64>; 3] {
     ]
 }
 
-/// The likeliest standard deviations, those of `free` being tried in turn.
-fn climb(start: [f64; 3], free: &[usize], likelihood: &(impl Fn([f64; 3]) -> f64 + Sync)) -> (f64, [f64; 3]) {
-    let mut best = (likelihood(start), start);
+/// The likeliest standard deviations, those of `free` being tried in turn, the others 0.
+fn climb(free: &[usize], likelihood: &(impl Fn([f64; 3]) -> f64 + Sync)) -> (f64, [f64; 3]) {
+    let mut best = (likelihood([0.0; 3]), [0.0; 3]);
     for _ in 0..ROUNDS {
         let before = best.0;
         for &k in free {

@@ -218,7 +218,7 @@ impl Equations {
         let mean = |range: std::ops::Range<usize>| ratio.rows(range.start, range.len()).mean();
         let kinds = [mean(0..gains), if n > gains { mean(gains..n) } else { 1.0 }];
         // As many degrees of freedom are lent by the others as it has itself.
-        DVector::from_fn(n, |i, _| (0.5 * (ratio[i] + kinds[usize::from(i >= gains)])).max(0.25))
+        DVector::from_fn(n, |i, _| (0.5 * (ratio[i] + kinds[usize::from(i >= gains)])).max(1.0))
     }
 }
 
@@ -255,7 +255,8 @@ fn rows(texel: &Texel, fit: &TexelFit, model: Model, vignetting: Option<&Vignett
             let (measured, modelled) = (f64::from(seen.radiance[i][c]), f64::from(modelled[c]));
             let relative = f64::from(seen.sigma[i]) / measured;
             if measured > 0.0 && modelled > 0.0 && relative < WORST {
-                left[3 * i + c] = (measured / modelled).ln();
+                // The logarithm of noise has a mean of its own.
+                left[3 * i + c] = (measured / modelled).ln() + 0.5 * relative * relative;
                 variance[3 * i + c] = (relative * relative).max(1e-8);
                 slopes.iter().enumerate().for_each(|(k, s)| own[(3 * i + c, k)] = f64::from(s[c]) / modelled);
             }
@@ -264,8 +265,9 @@ fn rows(texel: &Texel, fit: &TexelFit, model: Model, vignetting: Option<&Vignett
     let weight = weights(&left, &variance, steps.len())?;
     let mut normal =
         own.transpose() * DMatrix::from_fn(3 * count, steps.len(), |i, k| weight[i] * own[(i, k)]);
-    let faint = 1e-9 * normal.diagonal().max();
-    (0..steps.len()).for_each(|k| normal[(k, k)] += 1e-6 * normal[(k, k)] + faint);
+    // What the views do not determine stays where it is; more would be taken for knowledge.
+    let faint = 1e-14 * normal.diagonal().max();
+    (0..steps.len()).for_each(|k| normal[(k, k)] += 1e-10 * normal[(k, k)] + faint);
     let place = |pixel: &glam::DVec2| vignetting.map_or([0.0; TERMS], |v| v.ln_at(pixel.x, pixel.y).1);
     Some(Rows {
         block: texel.block,

@@ -25,7 +25,7 @@ const DISTANCE_M: f64 = 0.9;
 /// Noise of a pixel's radiance, as a part of it and as a radiance.
 const RELATIVE_NOISE: f32 = 0.01;
 const NOISE: f32 = 0.002;
-const TEXELS: Texels = Texels { columns: 48, rows: 36 };
+const TEXELS: Texels = Texels { columns: 32, rows: 24 };
 
 pub fn normal(random: &mut StdRng) -> f64 {
     (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0
@@ -98,7 +98,12 @@ impl World {
     }
 
     /// A session with radiance under this lamp, with or without vignetting.
-    pub fn session(&self, folder: &std::path::Path, gain: &dyn Fn(usize) -> [f64; 3], vignetting: bool) -> Session {
+    pub fn session(
+        &self,
+        folder: &std::path::Path,
+        gain: &dyn Fn(usize) -> [f64; 3],
+        vignetting: bool,
+    ) -> Session {
         let mut manifest = Manifest::new("simulated");
         manifest.surface = Some(self.surface);
         manifest.distance_m = Some(DISTANCE_M);
@@ -139,6 +144,12 @@ impl World {
         session
     }
 
+    /// What is found in a session.
+    pub fn find(&self, gain: &dyn Fn(usize) -> [f64; 3], options: &Options) -> rigel::Result<Photometry> {
+        let folder = tempfile::tempdir().unwrap();
+        photometry::find(&self.session(&folder.path().join("session"), gain, false), options, &Silent)
+    }
+
     /// What a fit of two lobes makes of it, in directions that nobody photographed.
     pub fn run(&self, gain: &dyn Fn(usize) -> [f64; 3], vignetting: bool, options: &Options) -> Found {
         let folder = tempfile::tempdir().unwrap();
@@ -152,38 +163,61 @@ impl World {
         let evaluation = evaluate(&fitted, &self.references, &Silent).unwrap();
         Found { mean_255: evaluation.mean_255(), photometry, views: self.directions.len() }
     }
+
+    /// Where the surface appears, in all pictures.
+    fn places(&self) -> Vec<DVec2> {
+        let texels = Texels { columns: 9, rows: 7 };
+        let points: Vec<DVec3> = (0..63).map(|i| self.surface.texel_centre(texels, i % 9, i / 9)).collect();
+        let in_view = |direction: &DVec3| {
+            let (pan, tilt) = pan_tilt(*direction);
+            let pose = Pose::from_rig(pan, tilt, DISTANCE_M);
+            points.iter().filter_map(|point| self.lens.project(pose.to_camera(*point))).collect::<Vec<_>>()
+        };
+        self.directions.iter().flat_map(in_view).collect()
+    }
 }
 
 impl Found {
-    /// What was found over the truth (logarithms), and its sigma: view by view, green.
-    fn lamp(&self, gain: &dyn Fn(usize) -> [f64; 3]) -> Vec<(f64, f64)> {
-        let mean = (0..self.views).map(|view| gain(view)[1].ln()).sum::<f64>() / self.views as f64;
+    /// What was found over the truth (logarithms), and its sigma: view by view.
+    fn lamp(&self, gain: &dyn Fn(usize) -> [f64; 3], channel: usize) -> Vec<(f64, f64)> {
+        let mean = (0..self.views).map(|view| gain(view)[channel].ln()).sum::<f64>() / self.views as f64;
         let one = |view: usize| {
             let (found, sigma) = self.photometry.lamp(&format!("view{view:03}"));
-            (found[1].ln() - gain(view)[1].ln() + mean, sigma[1])
+            (found[channel].ln() - gain(view)[channel].ln() + mean, sigma[channel])
         };
         (0..self.views).map(one).collect()
     }
 
-    pub fn lamp_error(&self, gain: &dyn Fn(usize) -> [f64; 3]) -> f64 {
-        let errors = self.lamp(gain);
+    /// Root mean square of that.
+    pub fn lamp_error_of(&self, gain: &dyn Fn(usize) -> [f64; 3], channel: usize) -> f64 {
+        let errors = self.lamp(gain, channel);
         (errors.iter().map(|(error, _)| error * error).sum::<f64>() / errors.len() as f64).sqrt()
     }
 
+    pub fn lamp_error(&self, gain: &dyn Fn(usize) -> [f64; 3]) -> f64 {
+        self.lamp_error_of(gain, 1)
+    }
+
     pub fn lamp_within_sigma(&self, gain: &dyn Fn(usize) -> [f64; 3]) -> f64 {
-        let errors = self.lamp(gain);
+        let errors = self.lamp(gain, 1);
         errors.iter().filter(|(error, sigma)| error.abs() <= *sigma).count() as f64 / errors.len() as f64
     }
 
-    pub fn print_vignetting(&self, world: &World) {
-        let Some(vignetting) = &self.photometry.vignetting else { return };
-        for (x, y) in [(0.0, 0.0), (159.0, 0.0), (20.0, 60.0), (80.0, 60.0), (140.0, 60.0), (30.0, 20.0), (130.0, 100.0)] {
-            let truth = world.camera.vignetting(DVec2::new(x, y));
-            println!(
-                "({x}, {y}): {:.4} for {truth:.4}, sigma {:.4}",
-                vignetting.at(x, y),
-                vignetting.relative_variance_at(x, y).sqrt()
-            );
-        }
+    /// The fall-off over the true one where the surface was seen, less the mean of that, and how often it is within its sigma there.
+    pub fn vignetting_error(&self, world: &World) -> (f64, f64) {
+        let Some(vignetting) = &self.photometry.vignetting else { return (f64::INFINITY, 0.0) };
+        let places = world.places();
+        let off: Vec<f64> = places
+            .iter()
+            .map(|place| vignetting.at(place.x, place.y).ln() - world.camera.vignetting(*place).ln())
+            .collect();
+        let count = off.len() as f64;
+        let within = off
+            .iter()
+            .zip(&places)
+            .filter(|(off, place)| off.abs() <= vignetting.relative_variance_at(place.x, place.y).sqrt())
+            .count() as f64;
+        let mean = off.iter().sum::<f64>() / count;
+        ((off.iter().map(|off| (off - mean).powi(2)).sum::<f64>() / count).sqrt(), within / count)
     }
 }

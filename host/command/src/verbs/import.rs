@@ -5,7 +5,8 @@ use std::path::PathBuf;
 use rigel::Result;
 use rigel::calibration::Registration;
 use rigel::measure::{Merge, Options as MeasureOptions, ResponseChoice, Times, measure};
-use rigel::observation::{self, observe as build};
+use rigel::observation::{self, observe_under};
+use rigel::photometry::{self, Patch};
 use rigel::session::Session;
 use rigel::session::import::{Options, Source, import as run};
 use rigel::view_file::Calibration;
@@ -111,9 +112,21 @@ pub fn observe(arguments: &Observe) -> Result<()> {
     let session = Session::open(&arguments.session)?;
     let out = arguments.out.clone().unwrap_or_else(|| session.folder().join("observations.rigel"));
     require_extension(&out, "rigel")?;
-    let map =
-        build(&session, &out, &observation::Options { texels: arguments.texels }, &Bar::new("observing"))
-            .map_err(|error| error.about(session.folder()))?;
+    let options = photometry::Options {
+        lamp: !arguments.keep_drift,
+        vignetting: !arguments.keep_vignetting,
+        reference: arguments.reference.map(|(centre_m, side_m)| Patch { centre_m, side_m }),
+    };
+    let photometry = photometry::find(&session, &options, &Bar::new("comparing views"))
+        .map_err(|error| error.about(session.folder()))?;
+    let texels = observation::Options { texels: arguments.texels };
+    let map = observe_under(&session, Some(&photometry), &out, &texels, &Bar::new("observing"))
+        .map_err(|error| error.about(session.folder()))?;
+    // Not before: an error leaves everything as it was.
+    photometry.write(&session)?;
+    for note in &photometry.notes {
+        say!("{note}");
+    }
     match Registration::of(&session)? {
         Some(registration) => {
             for view in &registration.dropped {
