@@ -183,6 +183,7 @@ fn what_the_views_cannot_tell_is_left_and_said() {
         100.0 * found.lamp_error(&gain),
         found.photometry.notes
     );
-    // What is not told apart is not made worse.
+    // What is not told apart is said and not made worse.
+    assert!(found.photometry.notes[0].contains("no model says"), "{:?}", found.photometry.notes);
     assert!(found.mean_255 < 1.01 * kept.mean_255);
 }

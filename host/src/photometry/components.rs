@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 /// The lamp's slow drift is forgotten over this part of the session; the surface's look over this angle, radians.
 const FORGOTTEN: f64 = 0.3;
-const ALIKE_RAD: f64 = 0.5;
+const ALIKE_RAD: f64 = 0.7;
 /// Standard deviations that are tried.
 const LEAST: f64 = 3e-4;
 const RATIO: f64 = 1.8;
@@ -83,6 +83,12 @@ impl Component {
         }
     }
 
+    /// How much the gains vary with the direction, where nobody can tell the lamp from the surface's look; they vary by
+    /// `all` altogether.
+    pub fn look(&self, all: f64) -> f64 {
+        self.sigma[2].min(all)
+    }
+
     /// Root mean square over the views.
     pub fn spread(&self) -> f64 {
         (self.lamp.iter().map(|value| value * value).sum::<f64>() / self.lamp.len().max(1) as f64).sqrt()
@@ -105,7 +111,7 @@ fn kernels(seen: &Views) -> [DMatrix<f64>; 3] {
     let views = seen.time.len();
     let time = |i: usize, k: usize| (-(seen.time[i] - seen.time[k]).abs() / FORGOTTEN).exp();
     let direction = |i: usize, k: usize| match (seen.direction.get(i), seen.direction.get(k)) {
-        (Some(a), Some(b)) => (-0.5 * (a.angle_between(*b) / ALIKE_RAD).powi(2)).exp(),
+        (Some(a), Some(b)) => (-a.angle_between(*b) / ALIKE_RAD).exp(),
         _ => 0.0,
     };
     [
