@@ -3,6 +3,8 @@
 #![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
 
 mod common;
+#[path = "merge/lamp.rs"]
+mod lamp;
 
 use std::fs;
 use std::path::Path;

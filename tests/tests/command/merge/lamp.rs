@@ -1,13 +1,9 @@
 //! `rigel observe` where the lamp flickers and nobody photographed flat fields: what it says and does, and what it is told to leave.
 
-#![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
-
-mod common;
-
 use std::fs;
 use std::path::Path;
 
-use common::{IMPORT, assert_refused, assert_untouched, lens, rigel, snapshot, succeed};
+use crate::common::{IMPORT, assert_refused, assert_untouched, lens, rigel, snapshot, succeed};
 use rigel::camera::Camera;
 use rigel::sampling::{pan_tilt, spiral};
 use rigel_simulated::camera::{Options, SimulatedCamera};
