@@ -93,7 +93,11 @@ fn maps_that_cannot_be_used() {
             arguments: &["render", "phong.exr", "--tilt", "95"],
             names: &["not above the surface"],
         },
-        Case { spoil: nothing, arguments: &["render", "phong.exr", "--gamma", "0"], names: &["gamma = 0"] },
+        Case {
+            spoil: nothing,
+            arguments: &["render", "phong.exr", "--gamma", "0"],
+            names: &["'0' for '--gamma"],
+        },
         Case {
             spoil: nothing,
             arguments: &["render", "phong.exr", "--camera", "lens.json"],
