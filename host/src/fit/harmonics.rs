@@ -8,6 +8,7 @@
 mod basis;
 mod kernel;
 mod lanes;
+mod packed;
 mod penalty;
 mod positive;
 mod smooth;

@@ -13,11 +13,9 @@ use nalgebra::DMatrix;
 
 use super::HarmonicsMethod;
 use super::basis::{Basis, Number, Rule};
-use super::kernel::{
-    Packed, Rgb, Room, advance, energy, matrix_product, normal_product, settle, tally, transposed_product,
-    weigh_observations,
-};
+use super::kernel::{Rgb, Room, advance, energy, matrix_product, normal_product, tally, transposed_product};
 use super::lanes::{LANES, Lane};
+use super::packed::{Packed, pack, settle, weigh_observations};
 use super::penalty::{self, Normal};
 use super::positive::Positive;
 use crate::fit::weights::Samples;
@@ -217,32 +215,7 @@ impl Smooth {
     }
 
     fn pack(&self, group: &[&TexelObservations], packed: &mut Packed, rows: &mut Vec<usize>) {
-        rows.clear();
-        for texel in group {
-            for view in &texel.view {
-                rows.resize(rows.len().max(*view as usize + 1), usize::MAX);
-                rows[*view as usize] = 0;
-            }
-        }
-        let mut count = 0;
-        for row in rows.iter_mut().filter(|row| **row == 0) {
-            *row = count;
-            count += 1;
-        }
-        packed.start(count);
-        for (lane, texel) in group.iter().enumerate() {
-            let observations = texel.view.iter().zip(&texel.direction).zip(&texel.radiance).zip(&texel.sigma);
-            for (((view, direction), radiance), sigma) in observations {
-                let row = rows[*view as usize];
-                packed.x[row].0[lane] = direction.x;
-                packed.y[row].0[lane] = direction.y;
-                packed.z[row].0[lane] = direction.z;
-                for c in 0..3 {
-                    packed.radiance[row][c].0[lane] = radiance[c];
-                }
-                packed.weight[row].0[lane] = *sigma;
-            }
-        }
+        pack(group, packed, rows);
         weigh_observations(packed, &self.weighing);
         settle(packed, self.basis, &self.rule, self.basis.count(self.order), SHARED_WITHIN);
     }
