@@ -144,6 +144,8 @@ fn a_lens_for_pictures_of_another_size_is_refused_without_squares() {
             spoil: |folder| {
                 succeed(folder, &["register", "session"]);
                 edit(&folder.join("session/registration.toml"), "width = 80", "width = 160");
+                // It tells by itself that it is of other poses.
+                std::fs::remove_file(folder.join("session/photometry.toml")).unwrap();
             },
             arguments: EVALUATE,
             names: &["view001.exr", "80x60", "160x60", "register again"],
