@@ -139,11 +139,14 @@ impl Evaluation {
         }
         let before = std::fs::read_to_string(folder.join("errors.csv")).unwrap_or_default();
         file::write_together(folder, &files)?;
+        let mut lines = before.lines();
+        // A table that somebody else wrote names nothing of ours.
+        let ours = lines.next() == Some(COLUMNS);
         let pictures =
-            before.lines().skip(1).filter_map(|line| Some(format!("{}.png", line.split_once(',')?.0)));
+            lines.filter(|_| ours).filter_map(|line| Some(format!("{}.png", line.split_once(',')?.0)));
         for stale in pictures.filter(|name| files.iter().all(|(new, _)| new != name)) {
             let path = folder.join(&stale);
-            // Gone already, or named by a table that nobody here wrote.
+            // Gone already, or elsewhere.
             if path.is_file() && path.file_name() == Some(stale.as_ref()) {
                 std::fs::remove_file(&path).map_err(Error::io("remove", &path))?;
             }
@@ -153,7 +156,7 @@ impl Evaluation {
 
     /// The table as CSV.
     pub fn csv(&self) -> String {
-        let mut csv = String::from("view,pixels,mean_of_255,psnr_db,median_relative\n");
+        let mut csv = format!("{COLUMNS}\n");
         for ViewError { name, pixels, mean_255, psnr_db, median_relative } in &self.views {
             let _ = writeln!(csv, "{name},{pixels},{mean_255:.4},{psnr_db:.3},{median_relative:.5}");
         }
@@ -223,6 +226,9 @@ fn reference_picture(path: &Path) -> Result<RadianceImage> {
             .collect(),
     })
 }
+
+/// Of errors.csv.
+const COLUMNS: &str = "view,pixels,mean_of_255,psnr_db,median_relative";
 
 /// Infinite numbers arrive as the largest half float.
 fn beyond_range(levels: &[u16; 3]) -> Mask {

@@ -401,6 +401,16 @@ fn made_from(
     Ok(text)
 }
 
+/// Whether the session's radiance is without the lens's vignetting.
+///
+/// # Errors
+/// [`Error::Io`].
+pub(crate) fn radiance_is_flattened(session: &Session) -> Result<bool> {
+    let path = session.radiance_folder().join(MADE_FROM);
+    let text = fs::read_to_string(&path).map_err(Error::io("read", &path))?;
+    Ok(text.lines().nth(2).is_some_and(|vignetting| vignetting != "None"))
+}
+
 /// What the radiance of a folder was made from: it must not be mixed with radiance that was made in another way.
 const MADE_FROM: &str = "made_from.txt";
 /// The response that was used.

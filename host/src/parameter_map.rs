@@ -48,6 +48,8 @@ pub struct Diagnostics {
     pub flags: Vec<FitFlags>,
     /// The names of the views that the fit has seen; empty in maps of which that is not known.
     pub seen: Vec<String>,
+    /// By what light the radiance was divided that the fit has seen, see [`Header::photometry`](crate::observation::Header::photometry).
+    pub photometry: Option<String>,
     /// Where each texel has a model of its own: index into `models` of the one that was nearly taken.
     pub runner_up: Vec<u8>,
     /// And why each texel has the one that it has.

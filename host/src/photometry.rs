@@ -22,11 +22,12 @@ use glam::{DVec2, DVec3};
 use crate::calibration::{Photometry, Registration};
 use crate::fit::Model;
 use crate::geometry::Surface;
+use crate::measure::radiance_is_flattened;
 use crate::progress::Progress;
 use crate::session::{Event, Session};
 use crate::{Error, Result};
 use components::Views;
-use estimate::estimate;
+use estimate::{Estimate, estimate};
 use fall_off::fall_off;
 use lamp::lamp;
 use looks::look;
@@ -68,7 +69,7 @@ const VIEWS_FOR_TWO_LOBES: usize = 30;
 ///
 /// # Errors
 /// [`crate::Error::Input`] when the session lacks radiance, poses, a lens or the surface's size; [`crate::Error::Request`] when the
-/// reference patch is not seen; [`crate::Error::Interrupted`].
+/// reference patch is not seen, or tells nothing because no exposure time is known; [`crate::Error::Interrupted`].
 pub fn find(session: &Session, options: &Options, progress: &dyn Progress) -> Result<Photometry> {
     let mut found = Photometry::nothing(session)?;
     let registration = Registration::of(session)?;
@@ -77,50 +78,27 @@ pub fn find(session: &Session, options: &Options, progress: &dyn Progress) -> Re
         views.retain(|&view| registration.view(&session.manifest.views[view].name).is_some());
     }
     let is_timed = |view: &usize| session.photographs(*view).iter().all(|photo| photo.exposure_s.is_some());
-    if !views.iter().all(is_timed) || !(options.lamp || options.vignetting) {
+    let reference = options.reference.filter(|_| options.lamp);
+    if !views.iter().all(is_timed) {
+        if reference.is_some() {
+            return Err(Error::request(
+                "a reference patch tells nothing of the lamp where the exposure times are not known",
+                "leave --reference out",
+            ));
+        }
         return Ok(found);
     }
-    let lens = lens_of_all(session, &views);
-    let has_flats = !session.flats()?.is_empty();
-    let falls_off = options.vignetting && !has_flats;
-    if falls_off && lens.is_none() {
-        found.notes.push(
-            "vignetting stays in the radiance: the views have lenses of their own; photograph flat fields"
-                .into(),
-        );
-    }
-    if views.len() < FEWEST_VIEWS {
-        found.notes.push(format!(
-            "{} views do not tell whether the lamp was steady, {FEWEST_VIEWS} would: nothing is changed",
-            views.len()
-        ));
-        return Ok(found);
-    }
-    let falls_off = falls_off.then_some(lens).flatten();
-    if !options.lamp && falls_off.is_none() {
-        return Ok(found);
-    }
-    let surface = session.manifest.surface()?;
     let names: Vec<&str> = views.iter().map(|&view| session.manifest.views[view].name.as_str()).collect();
-    let whole = look(session, registration.as_ref(), &views, (surface, DVec3::ZERO), &found, progress)?;
-    let most = whole.texels.iter().map(|texel| texel.observations.len()).max().unwrap_or(0);
-    if most < FEWEST_VIEWS {
-        found.notes.push(format!(
-            "the views overlap too little to tell whether the lamp was steady: no place was seen by more than {most} of them, {FEWEST_VIEWS} would do: nothing is changed"
-        ));
-        return Ok(found);
-    }
-    let model = Model::Phong { lobes: if views.len() < VIEWS_FOR_TWO_LOBES { 1 } else { 2 } };
-    let told = estimate(&whole, views.len(), model, falls_off, progress)?;
     let order = in_time(session, &views);
-    let seen = Views { direction: &whole.direction, time: &order };
-    if options.lamp && options.reference.is_none() {
-        lamp(&told, &seen, &names, &mut found);
-    }
-    if let Some(start) = falls_off {
-        fall_off(&told, &seen, &whole.texels, options, start, &mut found);
-    }
-    if let (true, Some(patch)) = (options.lamp, options.reference) {
+    let told = from_the_surface(
+        session,
+        registration.as_ref(),
+        (&views, &names, &order),
+        options,
+        &mut found,
+        progress,
+    )?;
+    if let Some(patch) = reference {
         let side = Surface { width_m: patch.side_m, height_m: patch.side_m };
         let (patch_at, at) = (patch.centre_m, (side, patch.centre_m.extend(0.0)));
         let patch = look(session, registration.as_ref(), &views, at, &found, progress)?;
@@ -136,9 +114,75 @@ pub fn find(session: &Session, options: &Options, progress: &dyn Progress) -> Re
         }
         let reference = estimate(&patch, views.len(), Model::Constant, None, progress)?;
         lamp(&reference, &Views { direction: &[], time: &order }, &names, &mut found);
-        found.notes.extend(reference.contradiction(&told));
+        found.notes.extend(told.and_then(|told| reference.contradiction(&told)));
     }
     Ok(found)
+}
+
+/// What the texels of the whole surface tell: of the lamp, unless a patch does, and of the fall-off. `None` where that is not asked
+/// for or they do not.
+fn from_the_surface(
+    session: &Session,
+    registration: Option<&Registration>,
+    (views, names, order): (&[usize], &[&str], &[f64]),
+    options: &Options,
+    found: &mut Photometry,
+    progress: &dyn Progress,
+) -> Result<Option<Estimate>> {
+    let falls_off = if options.vignetting { unflattened(session, views, found)? } else { None };
+    let asks = match (options.lamp && options.reference.is_none(), falls_off) {
+        (true, None) => "the lamp was steady",
+        (true, Some(_)) => "the lamp was steady and the lens even",
+        (false, Some(_)) => "the lens was even",
+        (false, None) => return Ok(None),
+    };
+    if views.len() < FEWEST_VIEWS {
+        found.notes.push(format!(
+            "{} views do not tell whether {asks}, {FEWEST_VIEWS} would: nothing is changed",
+            views.len()
+        ));
+        return Ok(None);
+    }
+    let surface = session.manifest.surface()?;
+    let whole = look(session, registration, views, (surface, DVec3::ZERO), found, progress)?;
+    let most = whole.texels.iter().map(|texel| texel.observations.len()).max().unwrap_or(0);
+    if most < FEWEST_VIEWS {
+        found.notes.push(format!(
+            "the views overlap too little to tell whether {asks}: no place was seen by more than {most} of them, {FEWEST_VIEWS} would do: nothing is changed"
+        ));
+        return Ok(None);
+    }
+    let model = Model::Phong { lobes: if views.len() < VIEWS_FOR_TWO_LOBES { 1 } else { 2 } };
+    let told = estimate(&whole, views.len(), model, falls_off, progress)?;
+    let seen = Views { direction: &whole.direction, time: order };
+    if options.lamp && options.reference.is_none() {
+        lamp(&told, &seen, names, found);
+    }
+    if let Some(start) = falls_off {
+        fall_off(&told, &seen, &whole.texels, start, found);
+    }
+    Ok(Some(told))
+}
+
+/// Width and height of the pictures whose fall-off flat fields do not tell.
+fn unflattened(session: &Session, views: &[usize], found: &mut Photometry) -> Result<Option<(u32, u32)>> {
+    if !session.flats()?.is_empty() {
+        if !radiance_is_flattened(session)? {
+            found.notes.push(
+                "the radiance was measured before the flat fields were there: run `rigel radiance` again"
+                    .into(),
+            );
+        }
+        return Ok(None);
+    }
+    let lens = lens_of_all(session, views);
+    if lens.is_none() {
+        found.notes.push(
+            "vignetting stays in the radiance: the views have lenses of their own; photograph flat fields"
+                .into(),
+        );
+    }
+    Ok(lens)
 }
 
 /// Width and height of the pictures where one lens took all of them.

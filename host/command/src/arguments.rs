@@ -316,13 +316,13 @@ pub struct Radiance {
     pub merge: MergeChoice,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum MergeChoice {
     Likelihood,
     Debevec,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum ExposureTimes {
     Stated,
     Measured,

@@ -88,14 +88,31 @@ impl Photometry {
             let what = format!("has format {}, this reads format {FORMAT}", photometry.format);
             return Err(Error::input(&path, what, AGAIN));
         }
-        let numbers = photometry.views.iter().flat_map(|view| view.gain);
-        if numbers.into_iter().any(|gain| !gain.is_finite() || gain <= 0.0) {
-            return Err(Error::input(&path, "has a gain that is not a positive number", AGAIN));
+        let is_sound = |view: &ViewGain| {
+            view.gain.iter().all(|gain| gain.is_finite() && *gain > 0.0)
+                && view.sigma.iter().all(|sigma| sigma.is_finite() && *sigma >= 0.0)
+        };
+        if let Some(view) = photometry.views.iter().find(|view| !is_sound(view)) {
+            let what = format!("has for {} a gain or sigma that cannot be", view.name);
+            return Err(Error::input(&path, what, AGAIN));
+        }
+        if photometry.vignetting.is_some_and(|vignetting| !vignetting.is_finite()) {
+            return Err(Error::input(&path, "has a vignetting that is not a number", AGAIN));
         }
         if photometry.made_from != made_from(session)? {
             return Err(Error::input(&path, "was made from other radiance or poses", AGAIN));
         }
         Ok(Some(photometry))
+    }
+
+    /// Tells radiance that was divided by it from radiance that was not; `None` where it changes nothing.
+    pub fn hash(&self) -> Option<String> {
+        if self.vignetting.is_none() && self.views.is_empty() {
+            return None;
+        }
+        let mut hasher = Sha256::new();
+        hasher.update(format!("{:?} {:?}", self.vignetting, self.views));
+        Some(in_digits(hasher))
     }
 
     /// The lamp in a view; 1 for sure where it was steady.
@@ -145,5 +162,9 @@ fn made_from(session: &Session) -> Result<String> {
     if path.exists() {
         hasher.update(std::fs::read(&path).map_err(Error::io("read", &path))?);
     }
-    Ok(hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+    Ok(in_digits(hasher))
+}
+
+fn in_digits(hasher: Sha256) -> String {
+    hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }

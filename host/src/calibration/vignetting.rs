@@ -37,6 +37,12 @@ pub struct Vignetting {
 }
 
 impl Vignetting {
+    /// Whether all of its numbers are.
+    pub(super) fn is_finite(&self) -> bool {
+        let numbers = [self.centre_x, self.centre_y, self.residual].into_iter().chain(self.coefficients);
+        numbers.chain(self.covariance.into_iter().flatten()).all(f64::is_finite)
+    }
+
     /// None, about the middle of the picture.
     pub(crate) fn centred(width: u32, height: u32) -> Self {
         Self {

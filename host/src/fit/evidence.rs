@@ -1,7 +1,7 @@
 //! What a texel's own views say about the models.
 
 use super::fitter::Fitter;
-use super::held_out::{HeldOut, held_out};
+use super::held_out::{HeldOut, held_out, held_out_in};
 use crate::observation::TexelObservations;
 
 /// How a model predicts a texel's views that its fit has not seen.
@@ -44,6 +44,12 @@ impl Evidence {
         let usable: Vec<_> = texels.iter().map(|texel| texel.usable()).collect();
         let views = held_out(fitters, &usable.iter().map(|texel| &**texel).collect::<Vec<_>>());
         views.iter().map(|views| Self::compare(views)).collect()
+    }
+
+    /// Compares them on one texel whose observations are dealt already: `parts`; all of them usable.
+    pub(super) fn in_parts(fitters: &[Fitter], texel: &TexelObservations, parts: &[u8]) -> Self {
+        let views = held_out_in(fitters, &[texel], &[parts.to_vec()]);
+        views.first().map(|views| Self::compare(views)).unwrap_or_default()
     }
 
     fn compare(views: &[Option<Vec<HeldOut>>]) -> Self {

@@ -22,6 +22,15 @@ pub(super) struct HeldOut {
 /// texel, fitter by fitter. `None` where the fitter needs more views. Observations that are not finite must have been left out.
 pub(super) fn held_out(fitters: &[Fitter], texels: &[&TexelObservations]) -> Vec<Vec<Option<Vec<HeldOut>>>> {
     let parts: Vec<Vec<u8>> = texels.iter().map(|texel| deal(&texel.view)).collect();
+    held_out_in(fitters, texels, &parts)
+}
+
+/// [`held_out`] with views dealt already: the part of each observation of each texel.
+pub(super) fn held_out_in(
+    fitters: &[Fitter],
+    texels: &[&TexelObservations],
+    parts: &[Vec<u8>],
+) -> Vec<Vec<Option<Vec<HeldOut>>>> {
     let mut found: Vec<Vec<Option<Vec<HeldOut>>>> = texels
         .iter()
         .map(|texel| fitters.iter().map(|_| Some(Vec::with_capacity(texel.len()))).collect())
@@ -29,9 +38,9 @@ pub(super) fn held_out(fitters: &[Fitter], texels: &[&TexelObservations]) -> Vec
     for part in each_part() {
         let of =
             |texel: &TexelObservations, parts: &[u8], held: bool| texel.only(|i| (parts[i] == part) == held);
-        let kept: Vec<_> = texels.iter().zip(&parts).map(|(texel, parts)| of(texel, parts, false)).collect();
+        let kept: Vec<_> = texels.iter().zip(parts).map(|(texel, parts)| of(texel, parts, false)).collect();
         let fits = Fitter::parameters(fitters, &kept.iter().collect::<Vec<_>>());
-        for (t, (texel, parts)) in texels.iter().zip(&parts).enumerate() {
+        for (t, (texel, parts)) in texels.iter().zip(parts).enumerate() {
             let held = of(texel, parts, true);
             if held.is_empty() {
                 continue;
@@ -40,7 +49,7 @@ pub(super) fn held_out(fitters: &[Fitter], texels: &[&TexelObservations]) -> Vec
                 if kept[t].len() < fitter.model().unknowns() {
                     found[t][f] = None;
                 } else if let Some(views) = &mut found[t][f] {
-                    views.extend(predict(fitter, &fits[f][t], &held));
+                    views.extend(predict(fitter, |_| &fits[f][t], &held));
                 }
             }
         }
@@ -74,15 +83,16 @@ pub(super) fn deal(views: &[u32]) -> Vec<u8> {
     parts
 }
 
-/// What a fit with these parameters predicts of `held`.
-pub(super) fn predict<'a>(
+/// What a fit predicts of `held`: `parameters` by the number of the view.
+pub(super) fn predict<'a, 'p>(
     fitter: &'a Fitter,
-    parameters: &'a [f32],
+    parameters: impl Fn(u32) -> &'p [f32] + 'a,
     held: &'a TexelObservations,
 ) -> impl Iterator<Item = HeldOut> + 'a {
     let (model, floor) = (fitter.model(), fitter.floor() as f32);
-    held.direction.iter().zip(&held.radiance).map(move |(direction, measured)| {
-        let predicted = model.radiance(parameters, *direction);
+    let views = held.view.iter().zip(&held.direction).zip(&held.radiance);
+    views.map(move |((view, direction), measured)| {
+        let predicted = model.radiance(parameters(*view), *direction);
         let miss = |c: usize| (predicted[c] - measured[c]).abs();
         let error = |c: usize| (miss(c) / (measured[c].max(0.0) + floor)).min(1.0);
         HeldOut {

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use super::evidence::{Evidence, SLACK, one_sigma};
 use super::fitter::TexelFit;
-use super::held_out::{HeldOut, predict};
+use super::held_out::{HeldOut, deal, each_part, predict};
 use super::selector::{Selector, ZenithRatios};
 use crate::Result;
 use crate::observation::TexelObservations;
@@ -36,6 +36,18 @@ pub struct Entry {
     pub model: usize,
     /// The fit to some of the texels together.
     pub fit: TexelFit,
+    /// Parameters of fits to the same texels without a part of the views each.
+    without: Vec<Vec<f32>>,
+    /// Which part each view is in, by its number.
+    part: Vec<u8>,
+}
+
+impl Entry {
+    /// What a fit says that has not seen this view, of whichever texel.
+    fn unseen(&self, view: u32) -> &[f32] {
+        let part = self.part.get(view as usize);
+        part.and_then(|part| self.without.get(usize::from(*part))).unwrap_or(&self.fit.parameters)
+    }
 }
 
 impl Palette {
@@ -63,10 +75,10 @@ impl Selector {
             .par_iter()
             .map(|candidate| {
                 go_on()?;
-                let Some((entry, _)) = candidate else { return Ok(vec![]) };
+                let Some(Own { model, parameters, .. }) = candidate else { return Ok(vec![]) };
                 let serves = |i: &usize| {
-                    let Some((_, error)) = &own[*i] else { return false };
-                    self.error(entry, texels[*i], (1.0 + ALIKE) * error).is_some()
+                    let Some(Own { error, .. }) = &own[*i] else { return false };
+                    self.error(*model, |_| parameters, texels[*i], (1.0 + ALIKE) * error).is_some()
                 };
                 Ok((0..texels.len()).filter(serves).collect())
             })
@@ -88,8 +100,9 @@ impl Selector {
             let some: Vec<&TexelObservations> = members.iter().step_by(step).map(|i| texels[*i]).collect();
             let Some(entry) = self.together(&some) else { continue };
             let is_served = |i: &usize| {
-                let Some((_, error)) = &own[*i] else { return false };
-                unserved[*i] && self.error(&entry, texels[*i], self.enough(*error)).is_some()
+                let Some(Own { error, .. }) = &own[*i] else { return false };
+                let unseen = |view| entry.unseen(view);
+                unserved[*i] && self.error(entry.model, unseen, texels[*i], self.enough(*error)).is_some()
             };
             let served: Vec<usize> = (0..texels.len()).filter(is_served).collect();
             if served.len() >= least {
@@ -108,7 +121,7 @@ impl Selector {
         let mut most = self.enough(own_error);
         let mut best = None;
         for (index, entry) in palette.entries.iter().enumerate() {
-            if let Some(error) = self.error(entry, &usable, most) {
+            if let Some(error) = self.error(entry.model, |view| entry.unseen(view), &usable, most) {
                 (most, best) = (error, Some(index));
             }
         }
@@ -116,12 +129,12 @@ impl Selector {
     }
 
     /// The fit of an entry, as that of one texel, with what [`Selector::sigma`] and [`Selector::zenith_ratios`] say of a texel's
-    /// own model: of the entry all of its views are unseen.
+    /// own model: from fits that have not seen the view, of whichever texel.
     pub fn shared_fit(&self, entry: &Entry, texel: &TexelObservations) -> (TexelFit, f32, ZenithRatios) {
         let fitter = &self.fitters()[entry.model];
         let (residual, views) = fitter.residual_of(texel, &entry.fit.parameters);
         let usable = texel.usable();
-        let predicted: Vec<HeldOut> = predict(fitter, &entry.fit.parameters, &usable).collect();
+        let predicted: Vec<HeldOut> = predict(fitter, |view| entry.unseen(view), &usable).collect();
         let sigma = one_sigma(&mut predicted.iter().flat_map(|view| view.relative).collect::<Vec<_>>());
         let ratios = ZenithRatios::of(entry.model, &predicted, sigma);
         (TexelFit { residual, views, ..entry.fit.clone() }, sigma, ratios)
@@ -132,52 +145,77 @@ impl Selector {
         ((1.0 + SLACK) * own_error).max(self.tolerance())
     }
 
-    /// The smallest sufficient model of each texel with its fit and its error in unseen views.
+    /// The smallest sufficient model of each texel.
     fn own(
         &self,
         texels: &[&TexelObservations],
         go_on: &(dyn Fn() -> Result<()> + Sync),
-    ) -> Result<Vec<Option<(Entry, f32)>>> {
+    ) -> Result<Vec<Option<Own>>> {
         let own = |texel: &&TexelObservations| {
             go_on()?;
             let evidence = Evidence::of(self.fitters(), &[texel]).pop().unwrap_or_default();
             let Some([model, _]) = evidence.choices(self.tolerance()) else { return Ok(None) };
-            let fit = self.fitters()[model].fit(texel);
-            Ok(Some((Entry { model, fit }, evidence.of[model].error)))
+            let parameters = self.fitters()[model].fit(texel).parameters;
+            Ok(Some(Own { model, parameters, error: evidence.of[model].error }))
         };
         texels.par_iter().map(own).collect()
     }
 
-    /// One fit for all of `texels`, by the smallest model that suffices for them together.
+    /// One fit for all of `texels`, by the smallest model that suffices for them together. What one view shows of all of them is
+    /// left out at once: they see it from nearly the same direction.
     fn together(&self, texels: &[&TexelObservations]) -> Option<Entry> {
-        let mut places: Vec<(u32, usize, usize)> = vec![];
-        for (number, texel) in texels.iter().enumerate() {
-            places.extend(texel.view.iter().enumerate().map(|(i, view)| (*view, number, i)));
+        let mut views: Vec<u32> = texels.iter().flat_map(|texel| texel.view.iter().copied()).collect();
+        views.sort_unstable();
+        views.dedup();
+        let numbers = views.last()? + 1;
+        let mut part = vec![0; numbers as usize];
+        views.iter().zip(deal(&views)).for_each(|(view, of)| part[*view as usize] = of);
+        // Each observation counts as a view of its own.
+        let mut all = TexelObservations::default();
+        let mut parts = vec![];
+        for (first, texel) in (0..).step_by(numbers as usize).zip(texels) {
+            parts.extend(texel.view.iter().map(|view| part[*view as usize]));
+            all.view.extend(texel.view.iter().map(|view| first + view));
+            all.direction.extend(&texel.direction);
+            all.radiance.extend(&texel.radiance);
+            all.sigma.extend(&texel.sigma);
         }
-        places.sort_unstable();
-        let all = TexelObservations {
-            view: places.iter().map(|(view, ..)| *view).collect(),
-            direction: places.iter().map(|(_, number, i)| texels[*number].direction[*i]).collect(),
-            radiance: places.iter().map(|(_, number, i)| texels[*number].radiance[*i]).collect(),
-            sigma: places.iter().map(|(_, number, i)| texels[*number].sigma[*i]).collect(),
-        };
-        let evidence = Evidence::of(self.fitters(), &[&all]).pop()?;
-        let [model, _] = evidence.choices(self.tolerance())?;
-        Some(Entry { model, fit: self.fitters()[model].fit(&all) })
+        let [model, _] = Evidence::in_parts(self.fitters(), &all, &parts).choices(self.tolerance())?;
+        let fitter = &self.fitters()[model];
+        if views.len() < fitter.model().unknowns() {
+            return None;
+        }
+        let without =
+            each_part().map(|part| fitter.fit(&all.only(|i| parts[i] != part)).parameters).collect();
+        Some(Entry { model, fit: fitter.fit(&all), without, part })
     }
 
-    /// The mean error of what an entry predicts of a texel's views, as [`Evidence::errors`]; `None` above `most`.
-    fn error(&self, entry: &Entry, texel: &TexelObservations, most: f32) -> Option<f32> {
-        let fitter = &self.fitters()[entry.model];
+    /// The mean error of what a model predicts of a texel's views, as [`Evidence::errors`]; `None` above `most`.
+    fn error<'a>(
+        &'a self,
+        model: usize,
+        parameters: impl Fn(u32) -> &'a [f32] + Copy + 'a,
+        texel: &TexelObservations,
+        most: f32,
+    ) -> Option<f32> {
+        let fitter = &self.fitters()[model];
         let (few, factor) = GLANCE;
         let step = texel.len().div_ceil(few).max(1);
         let some = texel.only(|i| i % step == 0);
         let mean = |texel: &TexelObservations| {
-            let errors = predict(fitter, &entry.fit.parameters, texel).map(|view| view.error);
+            let errors = predict(fitter, parameters, texel).map(|view| view.error);
             errors.sum::<f32>() / texel.len() as f32
         };
         (mean(&some) <= factor * most).then(|| mean(texel)).filter(|error| *error <= most)
     }
+}
+
+/// A texel's own model.
+struct Own {
+    model: usize,
+    parameters: Vec<f32>,
+    /// Mean, in unseen views.
+    error: f32,
 }
 
 #[cfg(test)]
@@ -185,7 +223,8 @@ mod tests {
     use glam::Vec3;
 
     use super::*;
-    use crate::fit::{FitOptions, candidates};
+    use crate::fit::harmonics::HarmonicsMethod;
+    use crate::fit::{FitOptions, Model, candidates};
 
     /// Sixty directions to zenith 60 degrees.
     fn directions() -> impl Iterator<Item = Vec3> {
@@ -242,13 +281,56 @@ mod tests {
         // Fitted to many it is surer than to one.
         let entry = &palette.entries()[found[0].unwrap()];
         let truth = |direction: Vec3| red.0.map(|colour| colour + 0.5 * direction.z.powf(red.1));
-        let error = |fit: &TexelFit, model: usize| {
+        let error = |parameters: &[f32], model: usize| {
             let model = selector.models()[model];
-            let miss = |d: Vec3| (model.radiance(&fit.parameters, d)[0] - truth(d)[0]).abs();
+            let miss = |d: Vec3| (model.radiance(parameters, d)[0] - truth(d)[0]).abs();
             directions().map(miss).sum::<f32>()
         };
-        let alone = selector.own(&[&fresh[0]], &|| Ok(())).unwrap().pop().flatten().unwrap().0;
-        assert!(error(&entry.fit, entry.model) < 0.7 * error(&alone.fit, alone.model));
+        let alone = selector.own(&[&fresh[0]], &|| Ok(())).unwrap().pop().flatten().unwrap();
+        assert!(error(&entry.fit.parameters, entry.model) < 0.7 * error(&alone.parameters, alone.model));
+    }
+
+    /// No lobe, and the noise of a texel in `seed`.
+    fn cushion(seed: u32) -> TexelObservations {
+        let mut texel = texel([0.0; 3], 8.0, seed);
+        for (direction, radiance) in texel.direction.iter().zip(&mut texel.radiance) {
+            let noise = radiance[1] / (0.5 * direction.z.powf(8.0));
+            *radiance = [noise * (0.3 + 0.3 * direction.x * direction.y + 0.1 * direction.x); 3];
+        }
+        texel
+    }
+
+    #[test]
+    fn harmonics_that_texels_share_are_fitted_to_all_of_them_and_say_how_sure_they_are() {
+        let sample: Vec<TexelObservations> = (0..40).map(cushion).collect();
+        let msh15 = Model::Harmonics { order: 5, method: HarmonicsMethod::Mirrored };
+        let selector = Selector::new(&[msh15], &FitOptions::default(), 0.0, &sample, &|| Ok(())).unwrap();
+        let palette = selector.palette(&sample, &|| Ok(())).unwrap();
+        assert!((1..5).contains(&palette.entries().len()), "{}", palette.entries().len());
+        let entry = &palette.entries()[0];
+        let miss = |parameters: &[f32]| {
+            let truth = |d: Vec3| 0.3 + 0.3 * d.x * d.y + 0.1 * d.x;
+            let miss = |d: Vec3| (msh15.radiance(parameters, d)[0] - truth(d)).powi(2);
+            directions().map(miss).sum::<f32>().sqrt()
+        };
+        let alone = selector.fitters()[0].fit(&sample[0]).parameters;
+        assert!(
+            miss(&entry.fit.parameters) < 0.6 * miss(&alone),
+            "{} {}",
+            miss(&entry.fit.parameters),
+            miss(&alone)
+        );
+        // Of texels that it was not made of, in views that it was not made of.
+        let fresh: Vec<TexelObservations> = (100..140).map(cushion).collect();
+        let (mut inside, mut all) = (0.0, 0.0);
+        let sigma = selector.shared_fit(entry, &sample[0]).1;
+        for texel in &fresh {
+            for view in predict(&selector.fitters()[0], |_| &entry.fit.parameters, texel) {
+                inside += view.relative.iter().filter(|miss| **miss <= sigma).count() as f32;
+                all += 3.0;
+            }
+        }
+        assert!((0.5..0.85).contains(&(inside / all)), "{}", inside / all);
     }
 
     #[test]

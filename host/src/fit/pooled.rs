@@ -24,7 +24,7 @@ pub(super) fn errors(fitters: &[Fitter], block: &[&TexelObservations]) -> Option
             let held = of(texel, true);
             for ((fitter, fits), sums) in fitters.iter().zip(&fits).zip(&mut sums) {
                 for (sum, parameters) in sums.iter_mut().zip([&fits[0], &fits[index]]) {
-                    let errors = predict(fitter, parameters, &held).map(|view| view.error);
+                    let errors = predict(fitter, |_| parameters, &held).map(|view| view.error);
                     *sum += errors.map(f64::from).sum::<f64>();
                 }
             }

@@ -97,7 +97,8 @@ pub fn observe_under(
         }
     }
     drop(coarse);
-    let header = Header::new(surface, options.texels, unit, observed);
+    let mut header = Header::new(surface, options.texels, unit, observed);
+    header.photometry = photometry.and_then(Photometry::hash);
     let map = ObservationMap::create(path, &header, &mut |index| {
         progress.step(views.len() + index, total)?;
         sample(views[index], options.texels)

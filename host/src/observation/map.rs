@@ -46,6 +46,9 @@ pub struct Header {
     pub tile: Texels,
     /// The session's radiance that counts as 1 in the file.
     pub unit: f64,
+    /// By what light the radiance was divided, as [`Photometry::hash`](crate::calibration::Photometry::hash) says it.
+    #[serde(default)]
+    pub photometry: Option<String>,
     /// The views, by index.
     pub views: Vec<ObservedView>,
 }
@@ -74,7 +77,7 @@ impl Header {
             TILE_SIDES.min_by_key(padding).unwrap_or(TILE_SIDE)
         };
         let tile = Texels { columns: side(texels.columns), rows: side(texels.rows) };
-        Self { format: FORMAT, surface, texels, tile, unit, views }
+        Self { format: FORMAT, surface, texels, tile, unit, photometry: None, views }
     }
 
     /// Number of tiles along x and y.

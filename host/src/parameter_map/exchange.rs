@@ -29,6 +29,7 @@ const PALETTE: &str = "fit.palette";
 const SIGMA: &str = "fit.sigma";
 const FLOOR: &str = "rigelSigmaFloor";
 const SEEN: &str = "rigelViews";
+const PHOTOMETRY: &str = "rigelPhotometry";
 const ZENITH: &str = "rigelSigmaZenith";
 const UNIT: &str = "the radiance of the session's pictures; metres, of a COLMAP model its own unit of length";
 const MAKE_AGAIN: &str = "fit the observation map again with `rigel fit`";
@@ -127,6 +128,11 @@ impl ParameterMap {
         {
             let names = Text::from(diagnostics.seen.join(",").as_str());
             attributes.other.insert(Text::from(SEEN), AttributeValue::Text(names));
+        }
+        if let Some(hash) =
+            self.diagnostics.as_ref().and_then(|diagnostics| diagnostics.photometry.as_deref())
+        {
+            attributes.other.insert(Text::from(PHOTOMETRY), AttributeValue::Text(hash.into()));
         }
         if let Some(uncertainty) = &self.uncertainty {
             let text = |factors: &[f32; BANDS]| factors.map(|factor| factor.to_string()).join(" ");
@@ -283,6 +289,10 @@ impl ParameterMap {
                         names.to_string().split(',').map(str::to_owned).collect()
                     }
                     _ => vec![],
+                },
+                photometry: match attribute(PHOTOMETRY) {
+                    Ok(AttributeValue::Text(hash)) => Some(hash.to_string()),
+                    _ => None,
                 },
             }),
             _ => None,

@@ -88,6 +88,7 @@ pub(super) fn empty(map: &ObservationMap, without: &[u32]) -> Diagnostics {
         views: vec![0; count],
         flags: vec![FitFlags::default(); count],
         seen: views.map(|(_, view)| view.name.clone()).collect(),
+        photometry: map.header().photometry.clone(),
         ..Diagnostics::default()
     }
 }

@@ -2,7 +2,6 @@
 
 use glam::DVec2;
 
-use super::Options;
 use super::components::Views;
 use super::equations::TERMS;
 use super::estimate::{COMMON, Estimate, MIXES};
@@ -19,7 +18,6 @@ pub(super) fn fall_off(
     estimate: &Estimate,
     seen: &Views,
     texels: &[Texel],
-    options: &Options,
     (width, height): (u32, u32),
     found: &mut Photometry,
 ) {
@@ -29,8 +27,9 @@ pub(super) fn fall_off(
     let mut information = estimate.solved.information.clone();
     let right = &information * estimate.unknowns.values();
     for (component, mix) in estimate.components(seen).iter().zip(MIXES) {
-        let lamp = options.lamp && component.is_there;
-        let Some(inverse) = component.prior(seen, lamp, COMMON).cholesky().map(|factor| factor.inverse())
+        // A drift that is to stay in the radiance is there all the same.
+        let Some(inverse) =
+            component.prior(seen, component.is_there, COMMON).cholesky().map(|factor| factor.inverse())
         else {
             continue;
         };

@@ -26,8 +26,16 @@ pub fn debevec_response(stack: &Stack) -> Result<Response> {
 /// # Errors
 /// Those of [`others::debevec_merge`] and [`merge`].
 pub fn debevec(stack: &Stack, response: &Response, noise: &NoiseModel) -> Result<RadianceImage> {
-    let radiance = others::debevec_merge(stack, response, others::rise)?;
+    let mut radiance = others::debevec_merge(stack, response, others::rise)?;
     let mut image = merge(stack, response, noise)?;
+    for ((to, from), (variance, mask)) in
+        radiance.iter_mut().zip(&image.radiance).zip(image.variance.iter().zip(&image.mask))
+    {
+        for c in (0..3).filter(|c| mask & RadianceImage::DARK != 0 && variance[*c].is_infinite()) {
+            // Levels of weight 0 say nothing: the bound that the noise tells stays.
+            to[c] = from[c];
+        }
+    }
     let says = [0, 1, 2].map(|channel| {
         let table = response.exposure(channel);
         let say = |level: usize| Level {
@@ -66,6 +74,24 @@ mod tests {
     use super::super::Samples;
     use super::super::simulated::{self, CURVES};
     use super::*;
+
+    #[test]
+    fn a_channel_that_every_photograph_shows_black_keeps_its_bound() {
+        let (_, curve) = CURVES[0];
+        let scene: Vec<[f64; 3]> =
+            simulated::scene(128, 96, 1).into_iter().map(|[r, g, _]| [r, g, 0.0]).collect();
+        let table: Vec<f32> = (0..256).map(|z| simulated::truth(curve, z) as f32).collect();
+        let response = Response::from_tables([table.clone(), table.clone(), table]);
+        let stack = simulated::shoot(&scene, 128, &[4.0, 1.0, 0.25], curve, 0.0, 2);
+        let mut samples = Samples::default();
+        samples.add(&stack).unwrap();
+        let noise = samples.noise(&response);
+        let ours = merge(&stack, &response, &noise).unwrap();
+        let image = debevec(&stack, &response, &noise).unwrap();
+        let is_black = |i: &usize| stack.pictures.iter().all(|picture| picture.levels[*i][2] == 0);
+        let black: Vec<usize> = (0..scene.len()).filter(is_black).collect();
+        assert!(!black.is_empty() && black.iter().all(|&i| image.radiance[i][2] == ours.radiance[i][2]));
+    }
 
     /// Where no photograph is saturated the method is sound and its variance true; where some are, it is drawn down, and says so.
     #[test]

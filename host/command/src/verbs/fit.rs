@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use rigel::calibration::Photometry;
 use rigel::evaluate::{evaluate as score, read_references, session_references};
 use rigel::fit::{BANDS, FitFlags, FitOptions, Model, Reason, candidates};
 use rigel::geometry::{Lens, Pose, Texels};
@@ -255,6 +256,23 @@ fn seen_by_fit(map: &ParameterMap, session: &Session, references: &[usize]) -> O
     Some(format!("the fit has seen {which}, so the errors flatter it; fit --without them"))
 }
 
+/// The light by which the references are divided must be that of the views that were fitted.
+fn require_the_same_light(arguments: &Evaluate, map: &ParameterMap, session: &Session) -> Result<()> {
+    let of_map = map.diagnostics.as_ref().map(|diagnostics| &diagnostics.photometry);
+    let of_session = Photometry::of(session)?.and_then(|photometry| photometry.hash());
+    match of_map {
+        Some(of_map) if *of_map != of_session => Err(Error::input(
+            &arguments.map,
+            format!(
+                "was fitted under another lamp or vignetting than the session's {} tells",
+                Photometry::path(session).display()
+            ),
+            "run `rigel observe` with the same options as for this map again, or fit again",
+        )),
+        _ => Ok(()),
+    }
+}
+
 /// `rigel evaluate`.
 pub fn evaluate(arguments: &Evaluate) -> Result<()> {
     let stem = arguments.map.file_stem().unwrap_or_default().to_string_lossy().into_owned();
@@ -274,6 +292,7 @@ pub fn evaluate(arguments: &Evaluate) -> Result<()> {
             let session = Session::open(folder)?;
             let views = session_views(&session, &arguments.views)?;
             seen = seen_by_fit(&map, &session, &views);
+            require_the_same_light(arguments, &map, &session)?;
             session_references(&session, &views).map_err(|error| error.about(folder))?
         }
         (None, None) => {
@@ -305,6 +324,10 @@ pub fn evaluate(arguments: &Evaluate) -> Result<()> {
     );
     if let Some(seen) = seen {
         say!("warning: {seen}");
+    } else if map.diagnostics.as_ref().is_some_and(|diagnostics| diagnostics.photometry.is_some()) {
+        say!(
+            "note: the lamp's gain in each of these views, or the vignetting, was found with their help (photometry.toml)"
+        );
     }
     evaluation.write(&out)?;
     say!("wrote {}: errors.csv and a picture for each view (seen, predicted, difference x 4)", out.display());

@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 
-use rigel::Result;
 use rigel::calibration::Registration;
 use rigel::measure::{Merge, Options as MeasureOptions, ResponseChoice, Times, measure};
 use rigel::observation::{self, observe_under};
@@ -10,6 +9,7 @@ use rigel::photometry::{self, Patch};
 use rigel::session::Session;
 use rigel::session::import::{Options, Source, import as run};
 use rigel::view_file::Calibration;
+use rigel::{Error, Result};
 
 use crate::arguments::{ExposureTimes, Import, MergeChoice, Observe, Radiance};
 use crate::progress::Bar;
@@ -73,6 +73,12 @@ pub fn radiance(arguments: &Radiance) -> Result<()> {
         ExposureTimes::Stated => Times::Stated,
         ExposureTimes::Measured => Times::Measured,
     };
+    if arguments.merge == MergeChoice::Debevec && arguments.exposure_times == ExposureTimes::Measured {
+        return Err(Error::request(
+            "--exposure-times measured says nothing to --merge debevec, which takes the times as they are stated",
+            "leave one of the two out",
+        ));
+    }
     let merge = match arguments.merge {
         MergeChoice::Likelihood => Merge::Likelihood,
         MergeChoice::Debevec => Merge::Debevec,

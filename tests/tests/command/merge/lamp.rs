@@ -76,8 +76,13 @@ fn a_flickering_lamp_is_told_removed_and_left_where_that_is_asked_for() {
     let (told, found) = gains(&["--reference", "-75mm,37mm,20mm"]);
     assert!(told.contains("the lamp's gain varied by"), "{told}");
     close(&found, 0.02);
+    succeed(folder, &["fit", "session/observations.rigel", "--model", "phong", "--out", "corrected.exr"]);
+    let evaluate = ["evaluate", "corrected.exr", "--session", "session", "--views", "view003"];
+    assert!(succeed(folder, &evaluate).contains("photometry.toml"));
     let (told, found) = gains(&["--keep-drift", "--keep-vignetting"]);
     assert!(found.is_empty() && !told.contains("lamp") && !told.contains("vignetting"), "{told}");
+    let output = rigel(folder, &evaluate).output().unwrap();
+    assert_refused("a map of another light", &output, &["corrected.exr", "another lamp", "rigel observe"]);
 
     // What is refused leaves everything as it was.
     let before = snapshot(folder);
