@@ -10,12 +10,14 @@ mod look;
 mod luminance;
 mod misplaced;
 mod photometry;
+mod refine;
 mod register;
 mod registration;
 mod rig_model;
 mod square;
 mod squares;
 mod suspect;
+mod texture;
 pub mod vignetting;
 
 pub use chessboard::{BoardCorner, BoardSize, Sighting, find_board};

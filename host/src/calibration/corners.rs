@@ -48,11 +48,11 @@ pub fn register_corners(
     distance_m: f64,
     views: &[ViewCorners],
 ) -> Result<Registration> {
-    let mut data = views.iter().map(|view| data(squares, view)).collect::<Result<Vec<_>>>()?;
+    let data = views.iter().map(|view| data(squares, view)).collect::<Result<Vec<_>>>()?;
     let lens_covariance = covariance.map_or_else(|| assumed(&lens), |c| SMatrix::from_fn(|i, j| c[i][j]));
-    let frame = Frame { layout: squares, lens, lens_covariance, distance_m };
+    let frame = Frame { layout: squares, lens, lens_covariance, distance_m, points_m: vec![], is_rig_s: false };
     let mut dropped = vec![None; views.len()];
-    let adjusted = settle(&frame, &mut data, &mut dropped)?;
+    let adjusted = settle(&frame, &data, &mut dropped, None)?;
     let name = |index: usize| views[index].name.clone();
     Ok(report(&frame, &data, &adjusted, &dropped, "corners".into(), &name))
 }
@@ -77,7 +77,7 @@ fn data(layout: &Squares, view: &ViewCorners) -> Result<ViewData> {
         Ok(MeasuredSquare { square: found.square, corners: vector(&found.pixels), covariance })
     };
     let squares = view.squares.iter().map(measured).collect::<Result<_>>()?;
-    Ok(ViewData { pan_rad: view.pan_rad, tilt_rad: view.tilt_rad, squares })
+    Ok(ViewData { pan_rad: view.pan_rad, tilt_rad: view.tilt_rad, squares, points: vec![] })
 }
 
 #[cfg(test)]
@@ -123,10 +123,10 @@ mod tests {
         let lens = Lens::pinhole(640, 480, 1350.0);
         let views: Vec<ViewCorners> = (0..8).map(|i| view(&lens, f64::from(i))).collect();
         let layout = layout();
-        let mut data: Vec<ViewData> = views.iter().map(|view| data(&layout, view).unwrap()).collect();
-        let frame = Frame { layout: &layout, lens, lens_covariance: assumed(&lens), distance_m: 0.9 };
+        let data: Vec<ViewData> = views.iter().map(|view| data(&layout, view).unwrap()).collect();
+        let frame = Frame { layout: &layout, lens, lens_covariance: assumed(&lens), distance_m: 0.9, points_m: vec![], is_rig_s: false };
         let mut dropped = vec![None; 8];
-        let mut adjusted = settle(&frame, &mut data, &mut dropped).unwrap();
+        let mut adjusted = settle(&frame, &data, &mut dropped, None).unwrap();
         let mut notes = |settled| {
             adjusted.settled = settled;
             report(&frame, &data, &adjusted, &dropped, String::new(), &|i| views[i].name.clone()).notes

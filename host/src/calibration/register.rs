@@ -6,14 +6,16 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use nalgebra::SMatrix;
 use rayon::prelude::*;
 
-use super::adjust::{Adjusted, Frame, LENS, ViewData, adjust};
+use super::adjust::{Adjusted, Frame, LENS, ROUNDS, ViewData, adjust, adjust_from};
 use super::lens::LensCovariance;
 use super::look::{Limits, Look, Scene, deviates, limits, most};
 use super::luminance::Luminance;
 use super::misplaced::{Misplaced, misplaced};
+use super::refine::{Refined, refine};
 use super::registration::{DeviationSigma, DroppedView, RegisteredView, Registration, made_from};
 use super::squares::Squares;
 use super::suspect::{Puzzle, suspect};
+use super::texture::{Plate, Texture};
 use crate::geometry::Lens;
 use crate::progress::Progress;
 use crate::radiance::RadianceImage;
@@ -58,7 +60,12 @@ pub fn register(
     let angles = commanded(session, &views)?;
     let none = Squares { size_m: 0.01, ground_m: 0.0, centres_m: vec![] };
     let layout = options.squares.as_ref().unwrap_or(&none);
-    let (frame, is_assumed) = frame(session, options, layout, &views)?;
+    let (mut frame, is_assumed) = frame(session, options, layout, &views)?;
+    let texture =
+        session.manifest.surface.map(|surface| Texture::new(surface, &frame.lens, frame.distance_m));
+    let plate = |picture: &Luminance, index: usize| {
+        texture.map(|texture| texture.plate(picture, &frame.lens, frame.commanded(angles[index])))
+    };
     let name = |index: usize| session.manifest.views[views[index]].name.clone();
 
     let done = AtomicUsize::new(0);
@@ -71,21 +78,33 @@ pub fn register(
                 .into(),
         );
     }
+    let mut hidden = vec![];
+    let plates: Vec<Option<Plate>>;
     if options.squares.is_some() {
         notes.extend(layout.weakness()?);
         let witness = views.len().div_ceil(WITNESSES);
-        let looks: Vec<(Look, Option<ViewData>)> = (0..views.len())
+        let looks: Vec<(Look, Option<ViewData>, Option<Plate>)> = (0..views.len())
             .into_par_iter()
             .map(|index| {
                 let picture = luminance(session, views[index], &frame.lens)?;
                 let scene = Scene::new(&frame, &picture, angles[index]);
-                let looks = (scene.look(), index.is_multiple_of(witness).then(|| scene.alike()));
+                let looks = (
+                    scene.look(),
+                    index.is_multiple_of(witness).then(|| scene.alike()),
+                    plate(&picture, index),
+                );
                 progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, views.len())?;
                 Ok(looks)
             })
             .collect::<Result<_>>()?;
-        let (looks, witnesses): (Vec<Look>, Vec<Option<ViewData>>) = looks.into_iter().unzip();
-        let witnesses: Vec<ViewData> = witnesses.into_iter().flatten().collect();
+        let (mut found, mut witnesses, mut shown) = (vec![], vec![], vec![]);
+        for (look, witness, plate) in looks {
+            found.push(look);
+            witnesses.extend(witness);
+            shown.push(plate);
+        }
+        let looks = found;
+        plates = shown;
         if let Some(found) = misplaced(&frame, &witnesses) {
             notes.push(told(layout, found)?);
         }
@@ -131,17 +150,47 @@ pub fn register(
                     (None, None, Some(&other)) => {
                         format!("shows the surface as the angles of {} would, not its own", name(other))
                     }
-                    (None, None, None) => looks[index].complaint(),
+                    (None, None, None) => {
+                        hidden.push(index);
+                        looks[index].complaint()
+                    }
                 },
             );
         }
         for (data, look) in data.iter_mut().zip(looks) {
             data.squares = look.squares;
         }
+        for &index in &hidden {
+            // What little looks like squares there is none that could be trusted.
+            data[index].squares.clear();
+        }
+    } else {
+        plates = (0..views.len())
+            .into_par_iter()
+            .map(|index| {
+                let picture = luminance(session, views[index], &frame.lens)?;
+                progress.step(done.fetch_add(1, Ordering::Relaxed) + 1, views.len())?;
+                Ok(plate(&picture, index))
+            })
+            .collect::<Result<_>>()?;
     }
-    let adjusted = settle(&frame, &mut data, &mut dropped)?;
+    let mut adjusted = settle(&frame, &data, &mut dropped, None)?;
     if options.squares.is_some() {
         refuse_wild(&adjusted, frame.distance_m)?;
+    }
+    let plates: Option<Vec<Plate>> = plates.into_iter().collect();
+    match (texture, plates) {
+        (Some(texture), Some(plates)) => {
+            let shown = (&plates[..], &hidden[..]);
+            let Refined { adjusted: refined, notes: more } =
+                refine(&texture, &mut frame, &mut data, &mut dropped, shown, adjusted, &name)?;
+            adjusted = refined;
+            notes.extend(more);
+        }
+        _ if options.squares.is_none() => notes.push(
+            "nobody has said how large the surface is: with --surface at the import its texture may align the views".into(),
+        ),
+        _ => {}
     }
     let mut registration = report(&frame, &data, &adjusted, &dropped, made_from, &name);
     notes.append(&mut registration.notes);
@@ -255,7 +304,7 @@ fn frame<'a>(
         luminance(session, first, &lens)?;
     }
     let lens_covariance = covariance.map_or_else(|| assumed(&lens), |c| SMatrix::from_fn(|i, j| c[i][j]));
-    Ok((Frame { layout, lens, lens_covariance, distance_m }, covariance.is_none()))
+    Ok((Frame { layout, lens, lens_covariance, distance_m, points_m: vec![], is_rig_s: false }, covariance.is_none()))
 }
 
 /// How sure a lens is that somebody gave without saying: about as one calibrated with a dozen boards.
@@ -300,16 +349,22 @@ fn others(
     Ok(fits.into_iter().map(|(other, _)| other).collect())
 }
 
-/// Adjusts the views that are not dropped; drops those that the adjustment shows to be doubtful, and adjusts again.
+/// Adjusts the views that are not dropped, from what is known of them already if it is of just these; drops those that the
+/// adjustment shows to be doubtful, and adjusts again.
 pub(super) fn settle(
     frame: &Frame,
-    data: &mut [ViewData],
+    data: &[ViewData],
     dropped: &mut [Option<String>],
+    mut start: Option<Adjusted>,
 ) -> Result<Adjusted> {
     loop {
         let kept: Vec<usize> = (0..data.len()).filter(|&i| dropped[i].is_none()).collect();
         let views: Vec<ViewData> = kept.iter().map(|&i| data[i].clone()).collect();
-        let adjusted = adjust(frame, &views)
+        let adjusted = match start.take().filter(|start| start.deviations.len() == views.len()) {
+            Some(start) => adjust_from(frame, &views, start, ROUNDS),
+            None => adjust(frame, &views),
+        };
+        let adjusted = adjusted
             .ok_or_else(|| Error::request("the poses cannot be computed from these squares", CHECK_ALL))?;
         let mut again = false;
         for (deviation, &index) in adjusted.deviations.iter().zip(&kept) {
@@ -352,6 +407,7 @@ pub(super) fn report(
         RegisteredView {
             name: name(view),
             corners: 4 * data[view].squares.len(),
+            patches: data[view].points.len(),
             rms_px: adjusted.rms_px(frame, index, &data[view]),
             pose: adjusted.seen(frame, index, &data[view]).pose(),
             covariance,

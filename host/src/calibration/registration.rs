@@ -14,6 +14,10 @@ use crate::{Error, Result, file};
 const NAME: &str = "registration.toml";
 
 /// The poses of a session's views with how sure they are, and the views that have none.
+///
+/// Where squares say where the surface is, its frame is theirs. Where only texture aligns the views it is the rig's: the origin is
+/// where the pan axis meets the surface, x is where the commanded pan is 0, and the camera is as far away as was said; how well
+/// the views know that is in the covariances.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Registration {
@@ -21,8 +25,9 @@ pub struct Registration {
     pub format: u32,
     /// Tells the photographs, radiance and commanded angles from which it was made.
     pub made_from: String,
-    /// By which factor the squares' places and shapes were worse than the noise around them says; 1 without squares.
-    pub noise: [f64; 2],
+    /// By which factor the squares' places, their shapes and patches of texture were worse than the noise around them says; 1
+    /// where there are none.
+    pub noise: [f64; 3],
     /// The lens, adjusted together with the poses.
     pub lens: Lens,
     /// The rig that all views share.
@@ -61,13 +66,16 @@ pub struct RegisteredView {
     pub name: String,
     /// Corners of squares that the pose rests on.
     pub corners: usize,
-    /// What they leave, root mean square, pixels; 0 without corners.
+    /// Patches of the surface's texture that it rests on.
+    pub patches: usize,
+    /// What the corners leave, root mean square, pixels; 0 without corners.
     pub rms_px: f64,
     /// The pose.
     pub pose: Pose,
     /// Its covariance.
     pub covariance: PoseCovariance,
-    /// Its covariance if the lens is exactly the one stated: what displaces the picture.
+    /// Its covariance if the lens is exactly the one stated: what displaces the picture. Without squares also if the texture of
+    /// all views is on the surface where they have it together: what displaces the picture against the others.
     pub covariance_given_lens: PoseCovariance,
 }
 
@@ -142,7 +150,7 @@ impl RegisteredView {
 
 impl Registration {
     /// The only version of the file so far.
-    pub(super) const FORMAT: u32 = 1;
+    pub(super) const FORMAT: u32 = 2;
 
     /// Where a session keeps it.
     pub fn path(session: &Session) -> PathBuf {
@@ -246,6 +254,7 @@ mod tests {
         RegisteredView {
             name: "view000".into(),
             corners: 16,
+            patches: 0,
             rms_px: 0.1,
             pose: Pose::from_rig(0.4, 0.9, 0.9),
             covariance,

@@ -1,8 +1,14 @@
 //! The patchwork capture as a user has it: photographs, boards, flat fields, commanded angles. The truth only scores.
 
+#[path = "score.rs"]
+#[allow(dead_code, reason = "only those without squares need it")]
+mod score;
+
 use std::path::{Path, PathBuf};
 
-use rigel::calibration::{BoardSize, LensCovariance, Registration, Squares, calibrate_photographs};
+use rigel::calibration::{
+    BoardSize, LensCovariance, RegisteredView, Registration, Squares, calibrate_photographs,
+};
 use rigel::geometry::{Lens, Pose};
 use rigel::measure::{self, measure};
 use rigel::progress::Silent;
@@ -76,4 +82,12 @@ pub fn summary(truth: &Truth, registration: &Registration) -> [f64; 4] {
         registration.views.iter().flat_map(|view| view.direction_scores(&truth.pose(&view.name))).collect();
     let within = scores.iter().filter(|score| score.abs() < 1.0).count() as f64 / scores.len() as f64;
     [at(0.5), at(0.95), at(1.0), within]
+}
+
+/// Median, 95th percentile and maximum of the direction errors (degrees) that are left when the views together may be turned,
+/// shifted and scaled.
+#[allow(dead_code, reason = "only those without squares need it")]
+pub fn gauge_free(truth: &Truth, registration: &Registration) -> [f64; 3] {
+    let pair = |view: &RegisteredView| (view.pose.centre_m, truth.pose(&view.name).centre_m);
+    score::gauge_free(&registration.views.iter().map(pair).collect::<Vec<_>>())
 }

@@ -5,4 +5,5 @@ pub mod camera;
 pub mod rig;
 pub mod scene;
 pub mod squares;
+pub mod texture;
 pub mod tracker;

@@ -8,17 +8,18 @@ use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rayon::prelude::*;
 use rigel::calibration::{RigModel, SquareCorners, Squares, ViewCorners};
-use rigel::geometry::{Lens, Pose};
+use rigel::geometry::{Lens, Pose, Surface};
 use rigel::radiance::RadianceImage;
 use rigel::session::{Event, Manifest, Photograph, Session, View};
 use rigel::{Error, Result, file};
 
 use crate::board::normal;
+use crate::texture::Texture;
 
 /// From the rig's centre to the camera as drawn, metres.
 pub const DISTANCE_M: f64 = 0.9;
 /// Sides of the area that the squares surround, metres.
-const SURFACE_M: DVec2 = DVec2::new(0.2, 0.15);
+const SURFACE: Surface = Surface { width_m: 0.2, height_m: 0.15 };
 /// Radiance of squares, ground and the surface between them.
 const LEVELS: [f64; 3] = [0.04, 0.8, 0.35];
 /// Sub-samples along either side of a pixel.
@@ -35,6 +36,8 @@ pub struct SquaresRig {
     pub lens: Lens,
     /// What all views share.
     pub rig: RigModel,
+    /// What is between the squares; grey and of no stated size where there is none.
+    pub texture: Option<Texture>,
 }
 
 /// A view: what was commanded, and where it was truly taken from.
@@ -89,7 +92,8 @@ impl SquaresRig {
         let places = [(-0.112, -0.087), (-0.112, 0.087), (0.112, -0.087), (0.112, 0.087)];
         let centres_m = places.map(|(x, y)| DVec3::new(x, y, 0.0)).to_vec();
         let layout = Squares { size_m: 0.012, ground_m: 0.003, centres_m };
-        Self { layout, lens: Lens { k1: -0.6, k2: 0.9, ..Lens::pinhole(640, 480, 1350.0) }, rig }
+        let lens = Lens { k1: -0.6, k2: 0.9, ..Lens::pinhole(640, 480, 1350.0) };
+        Self { layout, lens, rig, texture: None }
     }
 
     /// Views all around down to a tilt of 70 degrees, each off by what play and a soft mounting leave: 0.2 degrees in pan and tilt, 2 mm
@@ -138,11 +142,14 @@ impl SquaresRig {
     pub fn radiance(&self, view: &TrueView, look: &Look) -> RadianceImage {
         let (width, height) = (self.lens.width as usize, self.lens.height as usize);
         let mut light = vec![LEVELS[1]; width * height];
-        let half = SURFACE_M / 2.0;
+        let half = DVec2::new(SURFACE.width_m, SURFACE.height_m) / 2.0;
         let ends = [(-half.x, -half.y), (half.x, -half.y), (half.x, half.y), (-half.x, half.y)];
         let appear = |(x, y)| self.lens.project(view.pose.to_camera(DVec3::new(x, y, 0.0)));
         if let [Some(a), Some(b), Some(c), Some(d)] = ends.map(appear) {
             paint(&mut light, width, &[a, b, c, d], LEVELS[2]);
+            if let Some(texture) = &self.texture {
+                self.lay(&mut light, view, &[a, b, c, d], texture);
+            }
         }
         for square in 0..self.layout.centres_m.len() {
             let Some(corners) = self.corners(view, square) else { continue };
@@ -173,6 +180,23 @@ impl SquaresRig {
         }
     }
 
+    /// Puts a texture where the surface appears within `corners`.
+    fn lay(&self, light: &mut [f64], view: &TrueView, corners: &[DVec2; 4], texture: &Texture) {
+        let low = corners.iter().copied().reduce(DVec2::min).unwrap_or_default().max(DVec2::ZERO).floor();
+        let high = corners.iter().copied().reduce(DVec2::max).unwrap_or_default();
+        let (width, height) = (self.lens.width as usize, self.lens.height as usize);
+        for y in low.y as usize..height.min(high.y.max(0.0) as usize + 2) {
+            for x in low.x as usize..width.min(high.x.max(0.0) as usize + 2) {
+                let Some(ray) = self.lens.unproject(DVec2::new(x as f64, y as f64)) else { continue };
+                let along = view.pose.direction_to_surface(ray);
+                let Some(point) = SURFACE.intersect(view.pose.centre_m, along) else { continue };
+                if SURFACE.contains(point) {
+                    light[y * width + x] = texture.radiance(point, -along);
+                }
+            }
+        }
+    }
+
     /// A session in `folder` whose radiance is measured already: each view with its look.
     ///
     /// # Errors
@@ -189,6 +213,7 @@ impl SquaresRig {
             views: views.iter().map(listed).collect(),
             lenses: vec![self.lens],
             distance_m: Some(DISTANCE_M),
+            surface: self.texture.map(|_| SURFACE),
             ..Manifest::new("simulated")
         };
         let mut session = Session::create(folder, manifest)?;

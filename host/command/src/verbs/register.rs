@@ -41,7 +41,8 @@ fn summarise(registration: &Registration, measured: bool) {
     for view in &registration.dropped {
         say!("warning: {} is left out: it {}", view.name, view.reason);
     }
-    if measured {
+    let by_texture = registration.views.iter().filter(|view| view.patches > 0).count();
+    if measured || by_texture > 0 {
         let sigma = &registration.deviations;
         say!(
             "rig: pan and tilt are off by {:.3} and {:.3} degrees, the picture by {:.2}, {:.2} and {:.2} mm (standard deviations over the views)",
@@ -51,10 +52,20 @@ fn summarise(registration: &Registration, measured: bool) {
             1e3 * sigma.shift_m[1],
             1e3 * sigma.shift_m[2]
         );
-    } else {
-        say!(
-            "warning: without squares nothing was measured: the views are where their commanded angles put them"
-        );
+    }
+    match (measured, by_texture) {
+        (false, 0) => say!(
+            "warning: without squares or texture nothing was measured: the views are where their commanded angles put them"
+        ),
+        (false, _) => say!(
+            "{by_texture} of {} views are aligned by the surface's texture: with each other, and on the surface as the rig's axes have it",
+            registration.views.len()
+        ),
+        (true, 0) => {}
+        (true, _) => say!(
+            "the surface's texture refines {by_texture} of {} views: squares that are left out are foretold better with it",
+            registration.views.len()
+        ),
     }
     let mut directions: Vec<f64> =
         registration.views.iter().map(|view| view.direction_sigma_rad().to_degrees()).collect();

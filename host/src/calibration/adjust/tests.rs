@@ -23,6 +23,8 @@ fn frame(layout: &Squares) -> Frame<'_> {
         lens: Lens { k1: -0.6, k2: 0.9, ..Lens::pinhole(640, 480, 1350.0) },
         lens_covariance: SMatrix::from_diagonal(&SVector::from(sigma.map(|s| s * s))),
         distance_m: 0.9,
+        points_m: vec![],
+        is_rig_s: false,
     }
 }
 
@@ -47,7 +49,7 @@ fn simulate(frame: &Frame, views: usize, sigma_px: f64, random: &mut StdRng) -> 
             let covariance = CornerCovariance::identity() * sigma_px.powi(2);
             MeasuredSquare { square, corners: vector(&corners) + noise, covariance }
         });
-        data.push(ViewData { pan_rad, tilt_rad, squares: squares.collect() });
+        data.push(ViewData { pan_rad, tilt_rad, squares: squares.collect(), points: vec![] });
         truth.push(seen);
     }
     (data, truth)
@@ -73,8 +75,8 @@ fn what_varies_is_told_from_what_does_not() {
         }
     }
     // What a view's residuals are worth is the common factor times its own.
-    let own = found.view_noise.iter().map(|noise| noise * noise).sum::<f64>() / found.view_noise.len() as f64;
-    let noise = found.noise.map(|noise| noise * own.sqrt());
+    let own = found.view_noise.iter().map(|noise| noise[0] * noise[0]).sum::<f64>() / found.view_noise.len() as f64;
+    let noise = [found.noise[0], found.noise[1]].map(|noise| noise * own.sqrt());
     // The views' own factors follow their luck and take some of the common one with them.
     assert!(noise.iter().all(|noise| (0.8..1.1).contains(noise)), "{noise:?} {:?}", found.noise);
 }
@@ -165,4 +167,52 @@ fn a_view_without_squares_is_where_the_rig_puts_it_and_as_sure_as_the_others_dev
     let [others, _] = found.covariance(&frame, 8, &data[8]);
     assert!(covariance[3][3] + covariance[4][4] > 20.0 * (others[3][3] + others[4][4]));
     assert_eq!(found.rms_px(&frame, 7, &data[7]), 0.0);
+}
+
+/// Points in no known place, no squares: the rig alone says where the surface is.
+#[test]
+fn the_covariance_of_poses_from_points_alone_is_the_error_s() {
+    let (layout, mut random) = (layout(), StdRng::seed_from_u64(7));
+    let points: Vec<DVec3> = (0..24)
+        .map(|i| DVec3::new(0.03 * f64::from(i % 6) - 0.075, 0.03 * f64::from(i / 6) - 0.045, 0.0))
+        .collect();
+    let (mut scores, mut relative) = (vec![], vec![]);
+    for _ in 0..5 {
+        let mut frame = frame(&layout);
+        let mut numbers = [0.0; RIG];
+        for (i, number) in numbers.iter_mut().enumerate().filter(|(i, _)| ![6, 9, 11, 12].contains(i)) {
+            *number = normal(&mut random) * if i < 7 { 0.003 } else { 0.002 };
+        }
+        let rig = RigModel::from_numbers(0.9, &numbers);
+        let (mut data, mut truth) = (vec![], vec![]);
+        for view in 0..24 {
+            let (pan_rad, tilt_rad) = (2.4 * f64::from(view), 1.25 * (f64::from(view) + 0.5) / 24.0);
+            let deviation = [0.004, 0.003, 0.0, 0.002, 0.0015, 0.0].map(|sigma| sigma * normal(&mut random));
+            let seen = rig.see(pan_rad, tilt_rad, &deviation);
+            let measured = |(point, place): (usize, &DVec3)| {
+                let noise = DVec2::new(normal(&mut random), normal(&mut random)) * 0.1;
+                let at = frame.lens.project(seen.to_camera(*place)).unwrap() + noise;
+                MeasuredPoint { point, at, covariance: Matrix2::identity() * 0.01 }
+            };
+            let points = points.iter().enumerate().map(measured).collect();
+            data.push(ViewData { pan_rad, tilt_rad, squares: vec![], points });
+            truth.push(seen);
+        }
+        let off = |random: &mut StdRng| DVec3::new(normal(random), normal(random), 0.0) * 0.002;
+        frame.points_m = points.iter().map(|&point| point + off(&mut random)).collect();
+        frame.is_rig_s = true;
+        let found = adjust(&frame, &data).unwrap();
+        assert!(found.settled && found.height_m < 1e-4, "{}", found.height_m);
+        for (view, (data, truth)) in data.iter().zip(&truth).enumerate() {
+            let [covariance, of_picture] = found.covariance(&frame, view, data);
+            let error = found.seen(&frame, view, data).difference(truth);
+            scores.extend((0..6).map(|i| error[i] / covariance[i][i].sqrt()));
+            relative.push(of_picture[3][3] / covariance[3][3]);
+        }
+    }
+    let within = scores.iter().filter(|z| z.abs() < 1.0).count() as f64 / scores.len() as f64;
+    println!("{:.1} % of {} errors within one sigma", 100.0 * within, scores.len());
+    assert!((0.55..0.8).contains(&within), "{within}");
+    // Where the surface is altogether is no doubt of one view against the others.
+    assert!(relative.iter().all(|part| *part < 1.0 + 1e-6) && median(&relative) < 0.9, "{relative:?}");
 }
