@@ -47,15 +47,26 @@ fn main() {
     println!("but for the gauge (median, p95, max): {:.4?}", gauge_free(&truth, &found));
     if std::env::var("VIEWS").is_ok() {
         for view in &found.views {
-            println!("{} {} {:.4} stated {:.4}", view.name, view.corners, view.direction_error_rad(&truth.pose(&view.name)).to_degrees(), view.direction_sigma_rad().to_degrees());
+            println!(
+                "{} {} {:.4} stated {:.4}",
+                view.name,
+                view.corners,
+                view.direction_error_rad(&truth.pose(&view.name)).to_degrees(),
+                view.direction_sigma_rad().to_degrees()
+            );
         }
     }
     let Ok(columns) = std::env::var("COLUMNS_OF_TEXELS").map(|n| n.parse::<u32>().unwrap()) else { return };
     found.write(&session).unwrap();
     let texels = Texels { columns, rows: columns * 3 / 4 };
-    let map = observe(&session, &session.folder().join("scored.rigel"), &Options { texels }, &Silent).unwrap();
+    let map =
+        observe(&session, &session.folder().join("scored.rigel"), &Options { texels }, &Silent).unwrap();
     let fitted = fit_surface(&map, Model::Phong { lobes: 1 }, &FitOptions::default(), &[], &Silent).unwrap();
     let references = read_references(&arguments[1].join("truth/eval.json"), 0.5).unwrap();
     let evaluation = evaluate(&fitted, &references, &Silent).unwrap();
-    println!("one lobe on {columns} columns: mean {:.2} of 255, PSNR {:.2} dB", evaluation.mean_255(), evaluation.psnr_db());
+    println!(
+        "one lobe on {columns} columns: mean {:.2} of 255, PSNR {:.2} dB",
+        evaluation.mean_255(),
+        evaluation.psnr_db()
+    );
 }

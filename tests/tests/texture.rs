@@ -38,7 +38,8 @@ fn registered(
 ) -> Registration {
     let session = rig.session(folder, views).unwrap();
     let covariance = [3.0, 3.0, 3.0, 3.0, 0.01, 0.05, 5e-4, 5e-4, 0.0].map(|sigma: f64| sigma * sigma);
-    let covariance = std::array::from_fn(|i| std::array::from_fn(|j| if i == j { covariance[i] } else { 0.0 }));
+    let covariance =
+        std::array::from_fn(|i| std::array::from_fn(|j| if i == j { covariance[i] } else { 0.0 }));
     let options = RegisterOptions { squares: squares.cloned(), lens: Some((rig.lens, Some(covariance))) };
     register(&session, &options, &Silent).unwrap()
 }

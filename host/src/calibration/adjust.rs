@@ -7,6 +7,7 @@
 
 mod pose;
 mod scatter;
+mod share;
 mod solve;
 
 use glam::{DVec2, DVec3};

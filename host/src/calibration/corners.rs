@@ -50,7 +50,8 @@ pub fn register_corners(
 ) -> Result<Registration> {
     let data = views.iter().map(|view| data(squares, view)).collect::<Result<Vec<_>>>()?;
     let lens_covariance = covariance.map_or_else(|| assumed(&lens), |c| SMatrix::from_fn(|i, j| c[i][j]));
-    let frame = Frame { layout: squares, lens, lens_covariance, distance_m, points_m: vec![], is_rig_s: false };
+    let frame =
+        Frame { layout: squares, lens, lens_covariance, distance_m, points_m: vec![], is_rig_s: false };
     let mut dropped = vec![None; views.len()];
     let adjusted = settle(&frame, &data, &mut dropped, None)?;
     let name = |index: usize| views[index].name.clone();
@@ -124,7 +125,14 @@ mod tests {
         let views: Vec<ViewCorners> = (0..8).map(|i| view(&lens, f64::from(i))).collect();
         let layout = layout();
         let data: Vec<ViewData> = views.iter().map(|view| data(&layout, view).unwrap()).collect();
-        let frame = Frame { layout: &layout, lens, lens_covariance: assumed(&lens), distance_m: 0.9, points_m: vec![], is_rig_s: false };
+        let frame = Frame {
+            layout: &layout,
+            lens,
+            lens_covariance: assumed(&lens),
+            distance_m: 0.9,
+            points_m: vec![],
+            is_rig_s: false,
+        };
         let mut dropped = vec![None; 8];
         let mut adjusted = settle(&frame, &data, &mut dropped, None).unwrap();
         let mut notes = |settled| {

@@ -2,7 +2,7 @@
 
 use glam::DVec2;
 
-use super::adjust::{Adjusted, Frame, ROUNDS, ViewData, adjust, adjust_from};
+use super::adjust::{Adjusted, Frame, ViewData, adjust, adjust_from};
 use super::median;
 use super::register::settle;
 use super::texture::{Candidate, FEWEST_PATCHES, Plate, Texture, Unplaced, align, place};
@@ -12,6 +12,8 @@ use crate::{Error, Result};
 const FEWEST_VIEWS: usize = 3;
 /// Squares are held out of views that show so many.
 const SQUARES_TO_HOLD_OUT: usize = 3;
+/// An adjustment that differs from another by these few squares has settled after so many rounds.
+const SETTLED_BY: usize = 8;
 /// Fewer held-out squares tell nothing.
 const FEWEST_HELD_OUT: usize = 5;
 
@@ -82,7 +84,9 @@ pub(super) fn refine(
         }
         Err(error) if has_squares => Err(error),
         Err(Error::Request { what, .. }) => {
-            let why = format!("the surface's texture does not align the views ({what}): they are where their commanded angles put them");
+            let why = format!(
+                "the surface's texture does not align the views ({what}): they are where their commanded angles put them"
+            );
             Ok(Refined { adjusted: before, notes: vec![why] })
         }
         Err(error) => Err(error),
@@ -120,28 +124,32 @@ fn attempt<'a>(
         let reasons = [
             (Unplaced::Even, "shows hardly any"),
             (Unplaced::Repeated, "is the same again a little further on"),
-            (Unplaced::Unlike, "is not the same where their angles put it; check the table of angles, the distance and the lens"),
+            (
+                Unplaced::Unlike,
+                "is not the same where their angles put it; check the table of angles, the distance and the lens",
+            ),
         ];
         let usual = reasons.into_iter().max_by_key(|(which, _)| count(*which));
         let why = usual.map_or("", |(_, why)| why);
-        return Err(format!(
-            "the surface's texture does not align the views: in most of them it {why}"
-        ));
+        return Err(format!("the surface's texture does not align the views: in most of them it {why}"));
     }
     let placed: Vec<bool> = candidates.iter().map(|view| view.is_placed).collect();
     for (deviation, candidate) in state.deviations.iter_mut().zip(&candidates) {
         *deviation = candidate.deviation;
     }
     let own: Vec<&Plate> = all.iter().map(|&view| &plates[view]).collect();
-    let state = align(texture, &mut frame, &mut views, (&own, &placed), state, has_squares)
-        .ok_or_else(unsolved)?;
+    let state =
+        align(texture, &mut frame, &mut views, (&own, &placed), state, has_squares).ok_or_else(unsolved)?;
     for ((&view, found), is_placed) in all.iter().zip(&views).zip(&placed) {
         if *is_placed && found.points.len() < FEWEST_PATCHES {
             unplaced.push((view, Unplaced::Even));
         }
     }
     if views.iter().filter(|view| !view.points.is_empty()).count() < FEWEST_VIEWS {
-        return Err("the surface's texture does not align the views: too few patches of it are the same in several".into());
+        return Err(
+            "the surface's texture does not align the views: too few patches of it are the same in several"
+                .into(),
+        );
     }
     Ok(Trial { frame, all, views, state, unplaced })
 }
@@ -172,9 +180,10 @@ fn is_better(trial: &Trial, saves_a_view: bool) -> bool {
     };
     let mut state = trial.state.clone();
     state.misfit = left.iter().map(|view| vec![[1.0; 2]; view.squares.len()]).collect();
-    let Some(with) = adjust_from(&trial.frame, &left, state, ROUNDS) else { return false };
+    let Some(with) = adjust_from(&trial.frame, &left, state, SETTLED_BY) else { return false };
     let bare = Frame { points_m: vec![], ..trial.frame.clone() };
-    let squares: Vec<ViewData> = left.iter().map(|view| ViewData { points: vec![], ..view.clone() }).collect();
+    let squares: Vec<ViewData> =
+        left.iter().map(|view| ViewData { points: vec![], ..view.clone() }).collect();
     let Some(without) = adjust(&bare, &squares) else { return true };
     off(&trial.frame, &with) < off(&bare, &without)
 }

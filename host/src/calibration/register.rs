@@ -304,7 +304,10 @@ fn frame<'a>(
         luminance(session, first, &lens)?;
     }
     let lens_covariance = covariance.map_or_else(|| assumed(&lens), |c| SMatrix::from_fn(|i, j| c[i][j]));
-    Ok((Frame { layout, lens, lens_covariance, distance_m, points_m: vec![], is_rig_s: false }, covariance.is_none()))
+    Ok((
+        Frame { layout, lens, lens_covariance, distance_m, points_m: vec![], is_rig_s: false },
+        covariance.is_none(),
+    ))
 }
 
 /// How sure a lens is that somebody gave without saying: about as one calibrated with a dozen boards.

@@ -22,8 +22,8 @@ use crate::geometry::{Lens, Surface};
 use patch::Patch;
 use pattern::{Pattern, Reference};
 pub(super) use place::{Candidate, Unplaced, place};
-pub(super) use plate::Plate;
 use plate::Grid;
+pub(super) use plate::Plate;
 
 /// No more nodes than these along the longer side, however fine the pictures are.
 const MOST_NODES: f64 = 320.0;

@@ -40,13 +40,22 @@ impl Texture {
     pub fn radiance(&self, point_m: DVec3, viewer: DVec3) -> f64 {
         let p = point_m.truncate();
         let spots = |sizes_m: &[f64], period_m: Option<f64>| -> f64 {
-            sizes_m.iter().map(|&size_m| spot(p / size_m, period_m.map(|period_m| (period_m / size_m) as i64))).sum()
+            sizes_m
+                .iter()
+                .map(|&size_m| spot(p / size_m, period_m.map(|period_m| (period_m / size_m) as i64)))
+                .sum()
         };
         let random = || spots(&[0.024, 0.012, 0.006, 0.003], None);
         let grain = match self.grain {
             Grain::Even => 0.0,
             Grain::Random => random(),
-            Grain::Half => if p.x < 0.0 { random() } else { 0.0 },
+            Grain::Half => {
+                if p.x < 0.0 {
+                    random()
+                } else {
+                    0.0
+                }
+            }
             Grain::Repeated { period_m } => spots(&[period_m / 2.0, period_m / 4.0], Some(period_m)),
         };
         let lamp = (unit_vector(2.2, 0.6) * LAMP_M - point_m).normalize();

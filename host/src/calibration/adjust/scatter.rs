@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::solve::Share;
+use super::share::Share;
 use super::{ALL, Adjusted, DEVIATIONS, PARTS, POINT, POINTS, SHARED, ViewData};
 
 /// The smallest deviations that are told from none, radians or metres.
@@ -116,8 +116,10 @@ pub fn estimate_noise(
                 Some((point, axis)) => {
                     let column = SHARED + POINT * view.points[point].point;
                     let by_point = share.linear.by_point[point].fixed_view::<1, POINT>(axis, 0);
-                    let (of_view, of_shared) =
-                        (derivative.fixed_columns::<DEVIATIONS>(0), derivative.fixed_columns::<SHARED>(DEVIATIONS));
+                    let (of_view, of_shared) = (
+                        derivative.fixed_columns::<DEVIATIONS>(0),
+                        derivative.fixed_columns::<SHARED>(DEVIATIONS),
+                    );
                     let with = of_view * share.mixed.fixed_columns::<POINT>(column)
                         + of_shared * covariance.fixed_view::<SHARED, POINT>(0, column);
                     let alone = covariance.fixed_view::<POINT, POINT>(column, column);

@@ -1,10 +1,11 @@
 //! The normal equations, round by round.
 
 use glam::DVec3;
-use nalgebra::{Const, DMatrix, DVector, Dyn, Matrix6, OMatrix, SMatrix, SVector};
+use nalgebra::{DMatrix, DVector, Matrix6, SMatrix, SVector, Vector3};
 use rayon::prelude::*;
 
-use super::scatter::{estimate_height, estimate_noise, estimate_sigma, weights};
+use super::scatter::{estimate_height, estimate_noise, estimate_sigma};
+use super::share::{Made, Now, Share};
 use super::{
     ALL, Adjusted, DEVIATIONS, Deviation, Frame, GAUGE, Joint, LENS, Linear, POINT, RIG, SHARED, STEPS_LENS,
     ViewData,
@@ -25,44 +26,6 @@ const PLACE: f64 = 0.05;
 const HEIGHT: f64 = 0.0003;
 /// What the rig defines, it defines to so much, radians or metres.
 const DEFINED: f64 = 1e-6;
-
-impl Linear {
-    fn residual_at(
-        &self,
-        view: &ViewData,
-        shared: &SVector<f64, SHARED>,
-        deviation: &Deviation,
-        moved_m: &dyn Fn(usize) -> SVector<f64, POINT>,
-    ) -> DVector<f64> {
-        let mut step = SVector::<f64, ALL>::zeros();
-        step.fixed_rows_mut::<DEVIATIONS>(0)
-            .copy_from(&(SVector::from(*deviation) - SVector::from(self.deviation)));
-        step.fixed_rows_mut::<SHARED>(DEVIATIONS).copy_from(&(shared - self.shared));
-        let mut residual = &self.residual - &self.derivative * step;
-        for (i, (measured, by_point)) in view.points.iter().zip(&self.by_point).enumerate() {
-            let mut own = residual.fixed_rows_mut::<2>(view.point_row(i));
-            own -= by_point * moved_m(measured.point);
-        }
-        residual
-    }
-}
-
-/// A view's own unknowns against the shared ones and those of all points.
-type ByAll = OMatrix<f64, Const<DEVIATIONS>, Dyn>;
-
-/// One view's share of the normal equations.
-pub(super) struct Share<'a> {
-    own: Matrix6<f64>,
-    cross: ByAll,
-    right: SVector<f64, DEVIATIONS>,
-    /// Whitened residuals, not weighted, and their derivatives.
-    pub residual: DVector<f64>,
-    pub linear: &'a Linear,
-    /// Weight of each residual, noise included.
-    pub weight: Vec<f64>,
-    /// Covariance of the view's deviation with the shared unknowns and all points.
-    pub mixed: ByAll,
-}
 
 /// Adjusts all views. `None` where the equations cannot be solved: a view whose squares cannot be where they are.
 pub fn adjust(frame: &Frame, views: &[ViewData]) -> Option<Adjusted> {
@@ -101,6 +64,7 @@ pub fn adjust_from(
     let unknowns = SHARED + POINT * points;
     let mut linears: Vec<Linear> = vec![];
     let mut linear_offsets_m = state.offsets_m.clone();
+    let between = |(to, from): (&DVec3, &DVec3)| Vector3::from((*to - *from).to_array());
     for round in 0..rounds {
         let deviations = Matrix6::from_diagonal(&SVector::from(state.sigma.map(|sigma| sigma.powi(-2))));
         let mut matrix = DMatrix::zeros(unknowns, unknowns);
@@ -122,57 +86,30 @@ pub fn adjust_from(
             linears = views.par_iter().zip(&state.deviations).map(linear).collect::<Option<_>>()?;
             linear_offsets_m.clone_from(&state.offsets_m);
         }
-        let moved_m = |point: usize| {
-            SVector::<f64, POINT>::from((state.offsets_m[point] - linear_offsets_m[point]).to_array())
-        };
+        let moved_m: Vec<Vector3<f64>> = state.offsets_m.iter().zip(&linear_offsets_m).map(between).collect();
+        let now = Now { state: &state, moved_m: &moved_m, deviations: &deviations, unknowns };
+        let made = views.par_iter().zip(&linears).enumerate();
+        let made: Vec<Made> =
+            made.map(|(index, (view, linear))| now.make(index, view, linear)).collect::<Option<_>>()?;
         let mut shares = Vec::with_capacity(views.len());
         // What the elimination of the views takes away, as a product of itself.
         let mut eliminated = DMatrix::zeros(DEVIATIONS * views.len(), unknowns);
-        for (index, (view, linear)) in views.iter().zip(&linears).enumerate() {
-            let deviation = &state.deviations[index];
-            let residual = linear.residual_at(view, &state.shared, deviation, &moved_m);
-            let noise = [0, 1, 2].map(|part| state.noise[part] * state.view_noise[index][part / 2]);
-            let weight = weights(view, &residual, &noise, &state.point_noise, &mut state.misfit[index]);
-            let mut weighted = linear.derivative.clone();
-            weighted.row_iter_mut().zip(&weight).for_each(|(mut row, weight)| row *= *weight);
-            let normal = weighted.transpose() * &linear.derivative;
-            let gradient = weighted.transpose() * &residual;
-            let own = normal.fixed_view::<DEVIATIONS, DEVIATIONS>(0, 0) + deviations;
-            let mut cross = ByAll::zeros(unknowns);
-            cross.fixed_columns_mut::<SHARED>(0).copy_from(&normal.view((0, DEVIATIONS), (DEVIATIONS, SHARED)));
-            for (i, (measured, by_point)) in view.points.iter().zip(&linear.by_point).enumerate() {
-                let (row, column) = (view.point_row(i), SHARED + POINT * measured.point);
-                let weighted_point = by_point * weight[row];
-                let with_view = linear.derivative.fixed_rows::<2>(row).transpose() * weighted_point;
-                cross.fixed_columns_mut::<POINT>(column).copy_from(&with_view.fixed_rows::<DEVIATIONS>(0));
-                let with_shared = with_view.fixed_rows::<SHARED>(DEVIATIONS).into_owned();
+        for (index, (view, made)) in views.iter().zip(made).enumerate() {
+            let mut block = matrix.fixed_view_mut::<SHARED, SHARED>(0, 0);
+            block += made.normal;
+            right += made.right;
+            for (measured, (with_shared, alone)) in view.points.iter().zip(&made.of_points) {
+                let column = SHARED + POINT * measured.point;
                 let mut block = matrix.fixed_view_mut::<SHARED, POINT>(0, column);
                 block += with_shared;
                 let mut block = matrix.fixed_view_mut::<POINT, SHARED>(column, 0);
                 block += with_shared.transpose();
                 let mut block = matrix.fixed_view_mut::<POINT, POINT>(column, column);
-                block += by_point.transpose() * weighted_point;
-                let mut own = right.fixed_rows_mut::<POINT>(column);
-                own += weighted_point.transpose() * residual.fixed_rows::<2>(row);
+                block += alone;
             }
-            let own = own.try_inverse()?;
-            let share = Share {
-                own,
-                right: gradient.fixed_rows::<DEVIATIONS>(0) - deviations * SVector::from(*deviation),
-                cross,
-                residual,
-                linear,
-                weight,
-                mixed: ByAll::zeros(0),
-            };
-            let mut block = matrix.fixed_view_mut::<SHARED, SHARED>(0, 0);
-            block += normal.fixed_view::<SHARED, SHARED>(DEVIATIONS, DEVIATIONS);
-            let mut block = right.fixed_rows_mut::<SHARED>(0);
-            block += gradient.fixed_rows::<SHARED>(DEVIATIONS);
-            right -= share.cross.transpose() * (share.own * share.right);
-            let root = own.cholesky()?.l().transpose() * &share.cross;
-            eliminated.rows_mut(DEVIATIONS * index, DEVIATIONS).copy_from(&root);
-            shares.push(share);
+            eliminated.rows_mut(DEVIATIONS * index, DEVIATIONS).copy_from(&made.root);
+            state.misfit[index] = made.misfit;
+            shares.push(made.share);
         }
         matrix -= eliminated.transpose() * eliminated;
         let covariance = matrix.cholesky()?.inverse();
@@ -185,9 +122,7 @@ pub fn adjust_from(
         let gauge = gauge(frame);
         let with_gauge = &covariance * &gauge;
         state.gauge.copy_from(&(gauge.transpose() * &with_gauge));
-        state.joint.clear();
-        state.mixed.clear();
-        for (share, deviation) in shares.iter_mut().zip(&mut state.deviations) {
+        let of_view = |(share, deviation): (&mut Share, &mut Deviation)| {
             let own = share.own * (share.right - &share.cross * &step);
             deviation.iter_mut().zip(own.iter()).for_each(|(value, step)| *value += step);
             let through = share.own * &share.cross;
@@ -201,12 +136,12 @@ pub fn adjust_from(
             joint.fixed_view_mut::<SHARED, DEVIATIONS>(DEVIATIONS, 0).copy_from(&mixed.transpose());
             let shared = covariance.fixed_view::<SHARED, SHARED>(0, 0);
             joint.fixed_view_mut::<SHARED, SHARED>(DEVIATIONS, DEVIATIONS).copy_from(&shared);
-            state.joint.push(joint);
             let mut with = SMatrix::<f64, ALL, GAUGE>::zeros();
             with.fixed_rows_mut::<DEVIATIONS>(0).copy_from(&(&share.mixed * &gauge));
             with.fixed_rows_mut::<SHARED>(DEVIATIONS).copy_from(&with_gauge.fixed_rows::<SHARED>(0));
-            state.mixed.push(with);
-        }
+            (joint, with)
+        };
+        (state.joint, state.mixed) = shares.par_iter_mut().zip(&mut state.deviations).map(of_view).unzip();
         if round < 2 {
             // The first steps go the way to where the views are: they say nothing of noise.
             continue;

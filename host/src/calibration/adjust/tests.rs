@@ -75,7 +75,8 @@ fn what_varies_is_told_from_what_does_not() {
         }
     }
     // What a view's residuals are worth is the common factor times its own.
-    let own = found.view_noise.iter().map(|noise| noise[0] * noise[0]).sum::<f64>() / found.view_noise.len() as f64;
+    let own =
+        found.view_noise.iter().map(|noise| noise[0] * noise[0]).sum::<f64>() / found.view_noise.len() as f64;
     let noise = [found.noise[0], found.noise[1]].map(|noise| noise * own.sqrt());
     // The views' own factors follow their luck and take some of the common one with them.
     assert!(noise.iter().all(|noise| (0.8..1.1).contains(noise)), "{noise:?} {:?}", found.noise);

@@ -97,7 +97,8 @@ impl Patch {
             for node in &nodes {
                 let Some(value) = between(pattern, node.at + shift) else { continue };
                 let residual = value - gain * node.reference;
-                let weight = if residual.abs() > HUBER * sigma { HUBER * sigma / residual.abs() } else { 1.0 };
+                let weight =
+                    if residual.abs() > HUBER * sigma { HUBER * sigma / residual.abs() } else { 1.0 };
                 matrix += node.gradient * node.gradient.transpose() * weight;
                 right -= node.gradient * (residual * weight);
                 squared += weight * residual * residual;

@@ -35,9 +35,8 @@ impl Pattern {
             .zip(&weight)
             .map(|(&known, &weight)| if known > 0.0 && weight > KNOWN { 1.0 } else { 0.0 })
             .collect();
-        let fine: Vec<f32> = (0..grid.count())
-            .map(|i| if inside[i] > 0.0 { sum[i] / weight[i] } else { 0.0 })
-            .collect();
+        let fine: Vec<f32> =
+            (0..grid.count()).map(|i| if inside[i] > 0.0 { sum[i] / weight[i] } else { 0.0 }).collect();
         let around = |plane: &[f32]| along(&grid, plane, &boxed);
         let count = around(&inside);
         let first = around(&fine);
@@ -91,7 +90,9 @@ fn along(grid: &Grid, plane: &[f32], filter: &dyn Fn(&[f32], &mut [f32])) -> Vec
 fn blurred(line: &[f32], out: &mut [f32]) {
     let n = line.len();
     for (i, out) in out.iter_mut().enumerate() {
-        let tap = |by: usize, back: usize| (i + by).checked_sub(back).filter(|&at| at < n).map_or(0.0, |at| line[at]);
+        let tap = |by: usize, back: usize| {
+            (i + by).checked_sub(back).filter(|&at| at < n).map_or(0.0, |at| line[at])
+        };
         *out = (tap(0, 2) + tap(2, 0) + 4.0 * (tap(0, 1) + tap(1, 0)) + 6.0 * line[i]) / 16.0;
     }
 }

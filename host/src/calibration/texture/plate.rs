@@ -49,10 +49,8 @@ impl Sheet {
     /// Between four nodes; NaN unless all are known.
     pub fn at(&self, node: DVec2) -> f32 {
         let (x, y) = (node.x.floor(), node.y.floor());
-        let inside = x >= 0.0
-            && y >= 0.0
-            && x + 1.0 < self.grid.columns as f64
-            && y + 1.0 < self.grid.rows as f64;
+        let inside =
+            x >= 0.0 && y >= 0.0 && x + 1.0 < self.grid.columns as f64 && y + 1.0 < self.grid.rows as f64;
         if !inside {
             return f32::NAN;
         }
@@ -173,9 +171,10 @@ fn lattice(grid: Grid, map: &dyn Fn(DVec3) -> Option<DVec2>) -> Vec<DVec2> {
         for i in 0..columns - 1 {
             let (left, right) = (side(i), side(i + 1));
             let until = ((i + 1) * LATTICE).min(grid.columns);
-            all.extend((i * LATTICE..until).map(|column| {
-                left.lerp(right, (column - i * LATTICE) as f64 / LATTICE as f64)
-            }));
+            all.extend(
+                (i * LATTICE..until)
+                    .map(|column| left.lerp(right, (column - i * LATTICE) as f64 / LATTICE as f64)),
+            );
         }
     }
     all

@@ -45,7 +45,8 @@ pub fn search(reference: &Reference, pattern: &Pattern, reach: usize) -> Found {
             let theirs = row * columns..(row + 1) * columns;
             let first = (row + dy) * wide + dx;
             let (mine, weight) = (&pattern.value[first..][..columns], &pattern.weight[first..][..columns]);
-            let (a, b, c, d) = sums(&value[theirs.clone()], &square[theirs.clone()], &known[theirs], mine, weight);
+            let (a, b, c, d) =
+                sums(&value[theirs.clone()], &square[theirs.clone()], &known[theirs], mine, weight);
             product += f64::from(a);
             of_view += f64::from(b);
             of_others += f64::from(c);
@@ -68,9 +69,7 @@ pub fn search(reference: &Reference, pattern: &Pattern, reach: usize) -> Found {
         let (x, y) = place(shift);
         is_inside(x, y)
             && [-1i64, 0, 1].iter().all(|dy| {
-                [-1i64, 0, 1]
-                    .iter()
-                    .all(|dx| map[((y + dy) * span as i64 + x + dx) as usize] <= map[shift])
+                [-1i64, 0, 1].iter().all(|dx| map[((y + dy) * span as i64 + x + dx) as usize] <= map[shift])
             })
     };
     let is_other = |shift: usize| {
