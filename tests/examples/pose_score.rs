@@ -44,7 +44,7 @@ fn main() {
     stated.sort_by(f64::total_cmp);
     println!("stated: median {:.4}, worst {:.4}", stated[stated.len() / 2], stated[stated.len() - 1]);
     println!("as they are (median, p95, max, within one sigma): {:.4?}", summary(&truth, &found));
-    println!("but for the gauge (median, p95, max): {:.4?}", gauge_free(&truth, &found));
+    println!("but for the gauge (median, p95, max; within one sigma): {:.4?}", gauge_free(&truth, &found));
     if std::env::var("VIEWS").is_ok() {
         for view in &found.views {
             println!(

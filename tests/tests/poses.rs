@@ -165,10 +165,17 @@ fn without_squares_texture_aligns_the_views(
         start.elapsed(),
         100.0 * within
     );
-    let free = gauge_free(truth, &found);
-    println!("but for the gauge {free:.4?}; {:?} {:?}", found.deviations, found.notes);
+    let (free, within) = gauge_free(truth, &found);
+    println!(
+        "but for the gauge {free:.4?}, {:.0} % within one sigma; {:?} {:?}",
+        100.0 * within,
+        found.deviations,
+        found.notes
+    );
     assert!(found.views.len() == 75 && found.views.iter().all(|view| view.corners == 0 && view.patches > 5));
     assert!(free[0] < 0.03 && free[1] < 0.12 && median < 0.08, "{free:?} {median}");
+    // All views together are off by what their angles are on average: of that there is one, and it says nothing of how often.
+    assert!((0.55..=0.76).contains(&within), "{within}");
 
     // A session that does not say how large the surface is keeps its commanded angles.
     let mut blank = Session::open(session.folder()).unwrap();

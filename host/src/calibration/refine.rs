@@ -38,7 +38,7 @@ struct Trial<'a> {
 /// they were.
 ///
 /// # Errors
-/// Those of [`settle`], where there are squares.
+/// Those of [`settle`], but for [`Error::Request`]: poses that were good without texture are not lost by it.
 pub(super) fn refine(
     texture: &Texture,
     frame: &mut Frame,
@@ -82,10 +82,10 @@ pub(super) fn refine(
             (*frame, *data, *dropped) = (trial.frame, with, still_dropped);
             Ok(Refined { adjusted, notes })
         }
-        Err(error) if has_squares => Err(error),
         Err(Error::Request { what, .. }) => {
+            let where_else = if has_squares { "squares" } else { "commanded angles" };
             let why = format!(
-                "the surface's texture does not align the views ({what}): they are where their commanded angles put them"
+                "the surface's texture does not align the views ({what}): they are where their {where_else} put them"
             );
             Ok(Refined { adjusted: before, notes: vec![why] })
         }

@@ -43,8 +43,10 @@ const SPOILS: f64 = 0.1;
 const WILD_RAD: f64 = 0.026;
 const WILD_SHIFT: f64 = 0.006;
 
-/// Registers the session's finished views: squares found in the radiance, one adjustment over all views. Without
-/// squares a view is where its commanded angles put it, as sure as such angles usually are.
+/// Registers the session's finished views: squares found in the radiance, one adjustment over all views, refined by the
+/// surface's texture where the session says how large the surface is and squares that are left out are foretold better with it.
+/// Without squares the texture alone aligns the views; one that it does not place is where its commanded angles put it, as sure
+/// as such angles usually are.
 ///
 /// # Errors
 /// [`Error::Input`] where the session lacks radiance, commanded angles, the camera's distance or a lens, or has several
@@ -164,7 +166,7 @@ pub fn register(
             // What little looks like squares there is none that could be trusted.
             data[index].squares.clear();
         }
-    } else {
+    } else if texture.is_some() {
         plates = (0..views.len())
             .into_par_iter()
             .map(|index| {
@@ -173,6 +175,8 @@ pub fn register(
                 Ok(plate(&picture, index))
             })
             .collect::<Result<_>>()?;
+    } else {
+        plates = vec![];
     }
     let mut adjusted = settle(&frame, &data, &mut dropped, None)?;
     if options.squares.is_some() {

@@ -6,9 +6,7 @@ mod score;
 
 use std::path::{Path, PathBuf};
 
-use rigel::calibration::{
-    BoardSize, LensCovariance, RegisteredView, Registration, Squares, calibrate_photographs,
-};
+use rigel::calibration::{BoardSize, LensCovariance, Registration, Squares, calibrate_photographs};
 use rigel::geometry::{Lens, Pose};
 use rigel::measure::{self, measure};
 use rigel::progress::Silent;
@@ -84,10 +82,9 @@ pub fn summary(truth: &Truth, registration: &Registration) -> [f64; 4] {
     [at(0.5), at(0.95), at(1.0), within]
 }
 
-/// Median, 95th percentile and maximum of the direction errors (degrees) that are left when the views together may be turned,
-/// shifted and scaled.
+/// The same of the errors that are left when the views together may be turned, shifted and scaled.
 #[allow(dead_code, reason = "only those without squares need it")]
-pub fn gauge_free(truth: &Truth, registration: &Registration) -> [f64; 3] {
-    let pair = |view: &RegisteredView| (view.pose.centre_m, truth.pose(&view.name).centre_m);
-    score::gauge_free(&registration.views.iter().map(pair).collect::<Vec<_>>())
+pub fn gauge_free(truth: &Truth, registration: &Registration) -> ([f64; 3], f64) {
+    let views = registration.views.iter().map(|view| (view, truth.pose(&view.name)));
+    score::gauge_free(&views.collect::<Vec<_>>())
 }

@@ -24,6 +24,10 @@ const SURFACE: Surface = Surface { width_m: 0.2, height_m: 0.15 };
 const LEVELS: [f64; 3] = [0.04, 0.8, 0.35];
 /// Sub-samples along either side of a pixel.
 const FINE: i32 = 8;
+/// The same for a texture.
+const TEXTURE_FINE: usize = 2;
+/// It lies on the plane up to so much of the surface's sides from the middle.
+const TEXTURE_REACH: f64 = 0.75;
 /// Tilts reach so far, radians.
 const STEEPEST_RAD: f64 = 1.25;
 
@@ -36,7 +40,7 @@ pub struct SquaresRig {
     pub lens: Lens,
     /// What all views share.
     pub rig: RigModel,
-    /// What is between the squares; grey and of no stated size where there is none.
+    /// What the squares lie on, each on its white ground. Where there is none it is white, but for a grey area of no stated size.
     pub texture: Option<Texture>,
 }
 
@@ -142,17 +146,26 @@ impl SquaresRig {
     pub fn radiance(&self, view: &TrueView, look: &Look) -> RadianceImage {
         let (width, height) = (self.lens.width as usize, self.lens.height as usize);
         let mut light = vec![LEVELS[1]; width * height];
-        let half = DVec2::new(SURFACE.width_m, SURFACE.height_m) / 2.0;
-        let ends = [(-half.x, -half.y), (half.x, -half.y), (half.x, half.y), (-half.x, half.y)];
-        let appear = |(x, y)| self.lens.project(view.pose.to_camera(DVec3::new(x, y, 0.0)));
-        if let [Some(a), Some(b), Some(c), Some(d)] = ends.map(appear) {
-            paint(&mut light, width, &[a, b, c, d], LEVELS[2]);
-            if let Some(texture) = &self.texture {
-                self.lay(&mut light, view, &[a, b, c, d], texture);
+        let appear = |point_m: DVec3| self.lens.project(view.pose.to_camera(point_m));
+        match &self.texture {
+            Some(texture) => self.lay(&mut light, view, texture),
+            None => {
+                let half = DVec2::new(SURFACE.width_m, SURFACE.height_m) / 2.0;
+                let ends = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)];
+                let ends = ends.map(|end| appear((DVec2::from(end) * half).extend(0.0)));
+                if let [Some(a), Some(b), Some(c), Some(d)] = ends {
+                    paint(&mut light, width, &[a, b, c, d], LEVELS[2]);
+                }
             }
         }
         for square in 0..self.layout.centres_m.len() {
             let Some(corners) = self.corners(view, square) else { continue };
+            if self.texture.is_some()
+                && let [Some(a), Some(b), Some(c), Some(d)] =
+                    self.layout.corners_m(square, self.layout.ground_m).map(appear)
+            {
+                paint(&mut light, width, &[a, b, c, d], LEVELS[1]);
+            }
             paint(&mut light, width, &corners, LEVELS[0]);
             if look.glare.contains(&square) {
                 let centre = corners.iter().sum::<DVec2>() / 4.0;
@@ -180,19 +193,24 @@ impl SquaresRig {
         }
     }
 
-    /// Puts a texture where the surface appears within `corners`.
-    fn lay(&self, light: &mut [f64], view: &TrueView, corners: &[DVec2; 4], texture: &Texture) {
-        let low = corners.iter().copied().reduce(DVec2::min).unwrap_or_default().max(DVec2::ZERO).floor();
-        let high = corners.iter().copied().reduce(DVec2::max).unwrap_or_default();
-        let (width, height) = (self.lens.width as usize, self.lens.height as usize);
-        for y in low.y as usize..height.min(high.y.max(0.0) as usize + 2) {
-            for x in low.x as usize..width.min(high.x.max(0.0) as usize + 2) {
-                let Some(ray) = self.lens.unproject(DVec2::new(x as f64, y as f64)) else { continue };
+    /// Puts a texture on the surface and around it: each pixel the mean of what it covers.
+    fn lay(&self, light: &mut [f64], view: &TrueView, texture: &Texture) {
+        let width = self.lens.width as usize;
+        let part = |k: usize| (k as f64 + 0.5) / TEXTURE_FINE as f64 - 0.5;
+        for (i, light) in light.iter_mut().enumerate() {
+            let at = DVec2::new((i % width) as f64, (i / width) as f64);
+            let fine = (0..TEXTURE_FINE * TEXTURE_FINE).filter_map(|k| {
+                let ray =
+                    self.lens.unproject(at + DVec2::new(part(k % TEXTURE_FINE), part(k / TEXTURE_FINE)))?;
                 let along = view.pose.direction_to_surface(ray);
-                let Some(point) = SURFACE.intersect(view.pose.centre_m, along) else { continue };
-                if SURFACE.contains(point) {
-                    light[y * width + x] = texture.radiance(point, -along);
-                }
+                let point = SURFACE.intersect(view.pose.centre_m, along)?;
+                let is_on = point.x.abs() < TEXTURE_REACH * SURFACE.width_m
+                    && point.y.abs() < TEXTURE_REACH * SURFACE.height_m;
+                is_on.then(|| texture.radiance(point, -along))
+            });
+            let fine: Vec<f64> = fine.collect();
+            if !fine.is_empty() {
+                *light = fine.iter().sum::<f64>() / fine.len() as f64;
             }
         }
     }
