@@ -24,13 +24,15 @@ fn rig(grain: Grain, gloss: f64) -> SquaresRig {
     rig
 }
 
-fn looks(views: Vec<TrueView>) -> Vec<(TrueView, Look)> {
-    let look = |(seed, view)| (view, Look { seed: seed as u64, ..Look::default() });
-    views.into_iter().enumerate().map(look).collect()
+/// Views that are off and noisy each in its own way, as `seed` has it.
+fn views(rig: &SquaresRig, count: usize, seed: u64) -> Vec<(TrueView, Look)> {
+    let look = |(view, truth)| (truth, Look { seed: 1000 * seed + view as u64, ..Look::default() });
+    rig.views(count, seed).into_iter().enumerate().map(look).collect()
 }
 
 fn registered(rig: &SquaresRig, session: &Session, squares: Option<&Squares>) -> Registration {
-    let covariance = [0.3, 0.3, 0.3, 0.3, 0.001, 0.005, 5e-5, 5e-5, 0.0].map(|sigma: f64| sigma * sigma);
+    // The lens is known: what is scored is what the texture says.
+    let covariance = [3e-3, 3e-3, 3e-3, 3e-3, 1e-5, 5e-5, 5e-7, 5e-7, 0.0].map(|sigma: f64| sigma * sigma);
     let covariance =
         std::array::from_fn(|i| std::array::from_fn(|j| if i == j { covariance[i] } else { 0.0 }));
     let options = RegisterOptions { squares: squares.cloned(), lens: Some((rig.lens, Some(covariance))) };
@@ -56,11 +58,11 @@ fn score(found: &Registration, views: &[(TrueView, Look)]) -> ([f64; 3], f64) {
 }
 
 #[test]
-fn texture_alone_aligns_the_views_about_as_well_as_it_says() {
+fn texture_alone_aligns_the_views_as_well_as_it_says() {
     let mut within = vec![];
-    for seed in 0..3 {
+    for seed in 0..4 {
         let rig = rig(Grain::Random, 0.0);
-        let views = looks(rig.views(VIEWS, seed));
+        let views = views(&rig, VIEWS, seed);
         let found = alone(&rig, &views);
         let (but_for_gauge, part) = score(&found, &views);
         assert!(found.dropped.is_empty(), "{:?}", found.dropped);
@@ -70,15 +72,15 @@ fn texture_alone_aligns_the_views_about_as_well_as_it_says() {
         within.push(part);
     }
     let within = within.iter().sum::<f64>() / within.len() as f64;
-    // 68 % would be exact: what all patches of a view have in common is not in the doubt that is stated.
-    assert!((0.3..0.9).contains(&within), "{within}");
+    // 68 % would be exact: a little is alike in all patches of a view, and no residual shows it.
+    assert!((0.5..0.8).contains(&within), "{within}");
 }
 
 #[test]
 fn a_surface_without_texture_keeps_the_commanded_angles_and_says_so() {
     let mut rig = rig(Grain::Even, 0.0);
     rig.layout.centres_m.clear();
-    let views = looks(rig.views(8, 1));
+    let views = views(&rig, 8, 1);
     let found = alone(&rig, &views);
     println!("{:?}", found.notes);
     assert!(found.views.len() == 8 && found.views.iter().all(|view| view.patches == 0));
@@ -91,7 +93,7 @@ fn a_surface_without_texture_keeps_the_commanded_angles_and_says_so() {
 fn repeated_texture_is_not_taken_for_another_of_its_periods() {
     let mut rig = rig(Grain::Repeated { period_m: 0.014 }, 0.0);
     rig.layout.centres_m.clear();
-    let views = looks(rig.views(8, 2));
+    let views = views(&rig, 8, 2);
     let found = alone(&rig, &views);
     println!("{:?}", found.notes);
     assert!(found.views.len() == 8 && found.views.iter().all(|view| view.patches == 0));
@@ -101,7 +103,7 @@ fn repeated_texture_is_not_taken_for_another_of_its_periods() {
 #[test]
 fn highlights_that_wander_with_the_view_do_not_lead_it_astray() {
     let rig = rig(Grain::Random, 6.0);
-    let views = looks(rig.views(VIEWS, 4));
+    let views = views(&rig, VIEWS, 4);
     let found = alone(&rig, &views);
     let (but_for_gauge, _) = score(&found, &views);
     assert!(found.dropped.is_empty(), "{:?}", found.dropped);
@@ -112,7 +114,7 @@ fn highlights_that_wander_with_the_view_do_not_lead_it_astray() {
 fn texture_on_half_of_the_surface_suffices_and_is_less_sure() {
     let whole = rig(Grain::Random, 0.0);
     let half = SquaresRig { texture: Some(Texture { grain: Grain::Half, gloss: 0.0 }), ..whole.clone() };
-    let views = looks(whole.views(VIEWS, 5));
+    let views = views(&whole, VIEWS, 5);
     let (all, part) = (alone(&whole, &views), alone(&half, &views));
     let (but_for_gauge, _) = score(&part, &views);
     assert!(but_for_gauge[0] < 0.08, "{but_for_gauge:?}");
@@ -124,7 +126,7 @@ fn texture_on_half_of_the_surface_suffices_and_is_less_sure() {
 #[test]
 fn a_view_with_another_s_angles_is_left_out_by_name() {
     let rig = rig(Grain::Random, 0.0);
-    let mut views = looks(rig.views(VIEWS, 6));
+    let mut views = views(&rig, VIEWS, 6);
     views[5].0.pan_rad += 1.0;
     let found = alone(&rig, &views);
     println!("{:?}", found.dropped);
@@ -135,7 +137,7 @@ fn a_view_with_another_s_angles_is_left_out_by_name() {
 #[test]
 fn a_view_whose_squares_are_hidden_is_placed_by_its_texture() {
     let rig = rig(Grain::Random, 0.0);
-    let mut views = looks(rig.views(VIEWS, 7));
+    let mut views = views(&rig, VIEWS, 7);
     views[6].1.glare = vec![0, 1, 2, 3];
     let folder = tempfile::tempdir().unwrap();
     let session = rig.session(&folder.path().join("session"), &views).unwrap();
@@ -151,7 +153,7 @@ fn a_view_whose_squares_are_hidden_is_placed_by_its_texture() {
 #[test]
 fn squares_on_a_surface_without_texture_are_left_as_they_are() {
     let rig = rig(Grain::Even, 0.0);
-    let views = looks(rig.views(8, 8));
+    let views = views(&rig, 8, 8);
     let folder = tempfile::tempdir().unwrap();
     let mut session = rig.session(&folder.path().join("session"), &views).unwrap();
     let with = registered(&rig, &session, Some(&rig.layout));
