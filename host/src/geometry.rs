@@ -3,11 +3,21 @@
 //! Surface frame: right-handed, origin at the centre of the sampled area, x right, y up, z out of the surface, metres.
 //! Camera frame: x right, y down, z forward; integer pixel coordinates are pixel centres.
 //! `azimuth` is measured from +x towards +y, `zenith` from +z, both in radians.
+//!
+//! World of environments: right-handed, y up; a camera that is not turned looks along -z with y up (glTF), so that its camera
+//! frame is the world turned by half a turn about x ([`world_from_camera`]).
+//! Latitude-longitude maps ([`LatLong`]) have the axes of OpenEXR's `latlong`: latitude 90 degrees (+y) at the top, longitude
+//! +180 degrees at the left edge, falling to the right; latitude 0 is +z at longitude 0 (the map's centre) and +x at longitude
+//! 90 degrees, so that what is right of something in the room is right of it in the map. A pixel is an area, and its centre lies half
+//! a pixel from its borders, as in all other maps of this program and in the maps that other programs share; OpenEXR's
+//! own library puts the centres of the outermost pixels on the poles and on the seam, at most half a pixel away.
 
 use std::f64::consts::PI;
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
+
+use crate::{Error, Result};
 
 /// A camera's lens and picture size: pinhole and Brown-Conrady distortion, in OpenCV's order (k1 k2 p1 p2 k3).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -260,6 +270,82 @@ pub fn azimuth_zenith(direction: DVec3) -> (f64, f64) {
     (direction.y.atan2(direction.x).rem_euclid(2.0 * PI), zenith)
 }
 
+/// A camera's frame in the world of environments, from how the camera (x right, y up, looking along -z) is turned.
+pub fn world_from_camera(orientation: DQuat) -> DQuat {
+    orientation * DQuat::from_rotation_x(PI)
+}
+
+/// The size of a latitude-longitude map: twice as wide as high. Pixel (0, 0) is at the top left; a pixel's centre is an integer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LatLong {
+    height: u32,
+}
+
+impl LatLong {
+    /// The most rows.
+    pub const MOST_ROWS: u32 = 16384;
+
+    /// A map of `2 height` columns and `height` rows, at least 2 and at most [`Self::MOST_ROWS`].
+    ///
+    /// # Errors
+    /// [`Error::Request`] for any other number.
+    pub fn new(width: u32, height: u32) -> Result<Self> {
+        if !(2..=Self::MOST_ROWS).contains(&height) || width != 2 * height {
+            return Err(Error::request(
+                format!("a latitude-longitude map of {width}x{height} pixels"),
+                format!("make it twice as wide as high, such as 4096x2048, with 2 to {} rows", Self::MOST_ROWS),
+            ));
+        }
+        Ok(Self { height })
+    }
+
+    /// Columns.
+    pub fn width(&self) -> usize {
+        2 * self.height as usize
+    }
+
+    /// Rows.
+    pub fn height(&self) -> usize {
+        self.height as usize
+    }
+
+    /// How many pixels there are.
+    pub fn count(&self) -> usize {
+        self.width() * self.height()
+    }
+
+    /// The longitude of a column, radians: from +z towards +x.
+    pub fn longitude(&self, column: f64) -> f64 {
+        PI - 2.0 * PI * (column + 0.5) / self.width() as f64
+    }
+
+    /// The latitude of a row, radians: from the horizon towards +y.
+    pub fn latitude(&self, row: f64) -> f64 {
+        PI / 2.0 - PI * (row + 0.5) / self.height() as f64
+    }
+
+    /// The unit vector, in the world of environments, that a (fractional) pixel shows.
+    pub fn direction(&self, pixel: DVec2) -> DVec3 {
+        let ((sin, cos), (up, level)) =
+            (self.longitude(pixel.x).sin_cos(), self.latitude(pixel.y).sin_cos());
+        DVec3::new(sin * level, up, cos * level)
+    }
+
+    /// The (fractional) pixel that shows a direction of any length; columns from -1/2 to less than width - 1/2.
+    pub fn pixel(&self, direction: DVec3) -> DVec2 {
+        let (width, height) = (self.width() as f64, self.height() as f64);
+        let latitude = direction.y.atan2(direction.x.hypot(direction.z));
+        let turn = (0.5 - direction.x.atan2(direction.z) / (2.0 * PI)).rem_euclid(1.0);
+        DVec2::new(turn * width - 0.5, (0.5 - latitude / PI) * height - 0.5)
+    }
+
+    /// The solid angle of a pixel of this row, steradians.
+    pub fn solid_angle(&self, row: usize) -> f64 {
+        let edge = |row: usize| (PI * row as f64 / self.height() as f64).cos();
+        2.0 * PI / self.width() as f64 * (edge(row) - edge(row + 1))
+    }
+}
+
 /// How sure the numbers of a lens are: their covariance in the order fx fy cx cy k1 k2 p1 p2 k3 (pixels, and none).
 pub type LensCovariance = [[f64; 9]; 9];
 
@@ -352,6 +438,39 @@ mod tests {
             let (a, z) = azimuth_zenith(unit_vector(azimuth, zenith));
             assert!((a - azimuth).abs() < 1e-12 && (z - zenith).abs() < 1e-12);
         }
+    }
+
+    #[test]
+    fn a_map_of_the_sphere_has_openexrs_axes_and_is_not_mirrored() {
+        let map = LatLong::new(400, 200).unwrap();
+        let at = |x: f64, y: f64, z: f64| map.pixel(DVec3::new(x, y, z));
+        assert!((at(0.0, 0.0, 2.0) - DVec2::new(199.5, 99.5)).length() < 1e-9);
+        assert!((at(3.0, 0.0, 0.0) - DVec2::new(99.5, 99.5)).length() < 1e-9);
+        assert!((at(-1.0, 0.0, 0.0) - DVec2::new(299.5, 99.5)).length() < 1e-9);
+        assert!((at(0.0, 1.0, 0.0).y + 0.5).abs() < 1e-9 && (at(0.0, -1.0, 0.0).y - 199.5).abs() < 1e-9);
+        // Who looks along -z has +x at the right hand; so has the map, whose edge that is.
+        assert!(at(0.1, 0.0, -1.0).x < 20.0 && at(-0.1, 0.0, -1.0).x > 380.0);
+        for pixel in [DVec2::new(0.0, 0.0), DVec2::new(399.0, 199.0), DVec2::new(-0.4, 30.3), DVec2::new(210.0, 150.25)] {
+            assert!((map.pixel(map.direction(pixel)) - pixel).length() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn the_pixels_of_a_map_cover_the_sphere() {
+        let map = LatLong::new(34, 17).unwrap();
+        let sum: f64 = (0..17).map(|row| 34.0 * map.solid_angle(row)).sum();
+        assert!((sum - 4.0 * PI).abs() < 1e-12);
+        for (width, height) in [(400, 201), (0, 0), (2, 1), (40000, 20000)] {
+            assert!(LatLong::new(width, height).is_err(), "{width}x{height}");
+        }
+    }
+
+    #[test]
+    fn a_camera_that_is_not_turned_looks_along_minus_z_with_y_up() {
+        let turned = world_from_camera(DQuat::IDENTITY);
+        assert!((turned * DVec3::Z + DVec3::Z).length() < 1e-12);
+        assert!((turned * DVec3::NEG_Y - DVec3::Y).length() < 1e-12);
+        assert!((turned * DVec3::X - DVec3::X).length() < 1e-12);
     }
 
     #[test]

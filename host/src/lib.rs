@@ -2,7 +2,7 @@
 //!
 //! Each module is a room on the road that the data takes, and imports only rooms upstream of it:
 //! `geometry` → `rig`, `camera`, `sampling` → `session` → `radiance`, `calibration` → `observation` → `fit`,
-//! `photometry`, `parameter_map` → `render` → `evaluate`, `plan`, `chart`, `report`.
+//! `photometry`, `parameter_map` → `render` → `evaluate`, `plan`, `chart`, `report`; and from `radiance` to `environment`.
 
 mod calendar;
 pub mod calibration;
@@ -10,6 +10,7 @@ pub mod camera;
 pub mod capture;
 pub mod chart;
 pub mod compare;
+pub mod environment;
 pub mod error;
 pub mod evaluate;
 pub mod file;

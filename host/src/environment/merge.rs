@@ -1,0 +1,289 @@
+//! Many plates to one map: every pixel is the mean of what the plates say, weighted by the inverse of their variances.
+//!
+//! The map is worked on in tiles, so that what a tile needs of a photograph stays in a core's own memory however the camera was
+//! rolled.
+
+use std::ops::Range;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use multiversion::multiversion;
+use rayon::prelude::*;
+
+use super::plate::{Noise, Plate};
+use super::warp::{CHUNK, Places, Sphere, columns, look};
+use crate::Result;
+use crate::progress::Progress;
+
+/// Rows and columns of a tile.
+const TILE: (usize, usize) = (32, 2 * CHUNK);
+
+/// How plates are merged.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Options {
+    /// The weight of a pixel falls towards its photograph's border with this power of its distance, so that no seam is seen:
+    /// 0 for none. The greater, the narrower are the seams, and the less is blurred where photographs contradict each other.
+    pub feather: u32,
+    /// Where three photographs or more overlap, those that contradict the others by more than noise and this part of the
+    /// radiance count less (Geman and McClure's weights); `None` for a plain mean.
+    pub disagreement: Option<f32>,
+}
+
+/// A latitude-longitude map of radiance.
+pub struct Merged {
+    /// Red, green, blue; 0 where nothing was seen.
+    pub radiance: Vec<[f32; 3]>,
+    /// The variance of the mean of the three; infinite where nothing was seen.
+    pub variance: Vec<f32>,
+    /// How many photographs show the pixel.
+    pub coverage: Vec<u16>,
+    /// How much of the weight was measured, 0 to 1: less than a half where what is known is a lower bound.
+    pub measured: Vec<f32>,
+}
+
+/// A tile's output: rows of the map's radiance, variance, coverage and measured part.
+type Band<'a> = (((&'a mut [[f32; 3]], &'a mut [f32]), &'a mut [u16]), &'a mut [f32]);
+
+/// Where a plate covers the map: for each row from the first one, arcs of columns.
+struct Cover {
+    rows: Range<usize>,
+    arcs: Vec<Vec<(usize, usize)>>,
+}
+
+/// What one plate says of a part of a row.
+struct Run {
+    /// Pixel of the tile where it begins.
+    at: usize,
+    /// Where its pixels begin in the tile's store.
+    stored: usize,
+    count: usize,
+}
+
+/// One thread's room for a tile.
+struct Room {
+    /// Sums of weight times radiance, and of weight.
+    sums: Vec<[f32; 4]>,
+    /// Sums of squared weight times variance.
+    spread: Vec<f32>,
+    /// Sums of weight times validity.
+    valid: Vec<f32>,
+    count: Vec<u16>,
+    /// The mean about which photographs are judged.
+    means: Vec<[f32; 4]>,
+    runs: Vec<Run>,
+    /// Every run's pixels: radiance and weight, variance and validity.
+    store: Vec<[f32; 4]>,
+    doubt: Vec<[f32; 2]>,
+}
+
+/// Merges plates that were made for maps of this size.
+///
+/// # Errors
+/// [`crate::Error::Interrupted`] where `progress` says so.
+pub fn merge(sphere: &Sphere, plates: &[Plate], options: &Options, progress: &dyn Progress) -> Result<Merged> {
+    let (width, height) = (sphere.size.width(), sphere.size.height());
+    let mut merged = Merged {
+        radiance: vec![[0.0; 3]; width * height],
+        variance: vec![0.0; width * height],
+        coverage: vec![0; width * height],
+        measured: vec![0.0; width * height],
+    };
+    let covers: Vec<Cover> = plates.par_iter().map(|plate| Cover::new(plate, sphere)).collect();
+    let done = AtomicUsize::new(0);
+    let band = TILE.0 * width;
+    let bands = merged.radiance.par_chunks_mut(band).zip(merged.variance.par_chunks_mut(band));
+    let bands = bands.zip(merged.coverage.par_chunks_mut(band)).zip(merged.measured.par_chunks_mut(band));
+    bands.enumerate().try_for_each_init(Room::new, |room, (number, mut band)| {
+        let first = number * TILE.0;
+        let rows = first..(first + TILE.0).min(height);
+        for column in (0..width).step_by(TILE.1) {
+            let columns = column..(column + TILE.1).min(width);
+            room.clear();
+            for (plate, cover) in plates.iter().zip(&covers) {
+                room.gather(sphere, plate, cover, (&rows, &columns), options);
+            }
+            if let Some(part) = options.disagreement {
+                room.settle(part);
+            }
+            room.write(&rows, &columns, width, &mut band);
+        }
+        progress.step(done.fetch_add(rows.len(), Ordering::Relaxed) + rows.len(), height)
+    })?;
+    Ok(merged)
+}
+
+impl Cover {
+    fn new(plate: &Plate, sphere: &Sphere) -> Self {
+        let rows = plate.view.rows(sphere.size);
+        let arcs = rows.clone().map(|row| columns(&plate.view, sphere.size, row)).collect();
+        Self { rows, arcs }
+    }
+}
+
+impl Room {
+    fn new() -> Self {
+        let pixels = TILE.0 * TILE.1;
+        Self {
+            sums: vec![[0.0; 4]; pixels],
+            spread: vec![0.0; pixels],
+            valid: vec![0.0; pixels],
+            count: vec![0; pixels],
+            means: vec![[0.0; 4]; pixels],
+            runs: vec![],
+            store: vec![],
+            doubt: vec![],
+        }
+    }
+
+    fn clear(&mut self) {
+        self.sums.fill([0.0; 4]);
+        self.spread.fill(0.0);
+        self.valid.fill(0.0);
+        self.count.fill(0);
+        self.runs.clear();
+        self.store.clear();
+        self.doubt.clear();
+    }
+
+    fn gather(
+        &mut self,
+        sphere: &Sphere,
+        plate: &Plate,
+        cover: &Cover,
+        (rows, columns): (&Range<usize>, &Range<usize>),
+        options: &Options,
+    ) {
+        let (mut places, mut seen, mut doubt) = (Places::NONE, [[0.0; 4]; CHUNK], [[0.0; 2]; CHUNK]);
+        for row in rows.start.max(cover.rows.start)..rows.end.min(cover.rows.end) {
+            for &(from, to) in &cover.arcs[row - cover.rows.start] {
+                let (from, to) = (from.max(columns.start), to.min(columns.end));
+                for first in (from..to).step_by(CHUNK) {
+                    let count = CHUNK.min(to - first);
+                    look(plate, sphere, (row, first, count), &mut places, &mut seen);
+                    weigh(&mut seen, &mut doubt, &mut places.feather, plate.noise, options.feather);
+                    let at = (row - rows.start) * TILE.1 + first - columns.start;
+                    let all = at..at + count;
+                    add(&seen, &doubt, &mut self.sums[all.clone()], &mut self.spread[all.clone()], &mut self.valid[all.clone()]);
+                    let outputs = self.count[all].iter_mut().zip(&places.feather);
+                    outputs.for_each(|(n, &feather)| *n += u16::from(feather > 0.0));
+                    if options.disagreement.is_some() {
+                        self.runs.push(Run { at, stored: self.store.len(), count });
+                        self.store.extend_from_slice(&seen[..count]);
+                        self.doubt.extend_from_slice(&doubt[..count]);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Lets photographs that contradict the others count less, more strictly in every round: the mean of the first one
+    /// is still that of all.
+    fn settle(&mut self, part: f32) {
+        if self.count.iter().all(|&count| count < 3) {
+            return;
+        }
+        for strictness in [0.1, 0.3, 1.0] {
+            for (mean, sum) in self.means.iter_mut().zip(&self.sums) {
+                let inverse = 1.0 / sum[3].max(f32::MIN_POSITIVE);
+                *mean = [sum[0] * inverse, sum[1] * inverse, sum[2] * inverse, 0.0];
+                mean[3] = part * part / 9.0 * (mean[0] + mean[1] + mean[2]).powi(2);
+            }
+            self.sums.fill([0.0; 4]);
+            self.spread.fill(0.0);
+            self.valid.fill(0.0);
+            for run in &self.runs {
+                let (all, stored) = (run.at..run.at + run.count, run.stored..run.stored + run.count);
+                let mut again = [[0.0; 4]; CHUNK];
+                judge(
+                    &mut again,
+                    (&self.store[stored.clone()], &self.doubt[stored.clone()]),
+                    (&self.means[all.clone()], &self.count[all.clone()]),
+                    strictness,
+                );
+                add(
+                    &again[..run.count],
+                    &self.doubt[stored],
+                    &mut self.sums[all.clone()],
+                    &mut self.spread[all.clone()],
+                    &mut self.valid[all],
+                );
+            }
+        }
+    }
+
+    fn write(&self, rows: &Range<usize>, columns: &Range<usize>, width: usize, band: &mut Band) {
+        let (((radiance, variance), coverage), measured) = band;
+        for row in 0..rows.len() {
+            for (i, column) in columns.clone().enumerate() {
+                let (from, to) = (row * TILE.1 + i, row * width + column);
+                let sum = self.sums[from];
+                coverage[to] = self.count[from];
+                if sum[3] > 0.0 {
+                    let inverse = 1.0 / sum[3];
+                    radiance[to] = [sum[0] * inverse, sum[1] * inverse, sum[2] * inverse];
+                    variance[to] = self.spread[from] * inverse * inverse;
+                    measured[to] = self.valid[from] * inverse;
+                } else {
+                    variance[to] = f32::INFINITY;
+                }
+            }
+        }
+    }
+}
+
+/// Turns what a plate shows into radiance and weight, and says its variance and validity.
+#[multiversion(targets("x86_64+avx2+fma"))]
+fn weigh(
+    seen: &mut [[f32; 4]; CHUNK],
+    doubt: &mut [[f32; 2]; CHUNK],
+    feather: &mut [f32; CHUNK],
+    noise: Noise,
+    power: u32,
+) {
+    let mut soft = [0f32; CHUNK];
+    for (soft, &mut feather) in soft.iter_mut().zip(feather.iter_mut()) {
+        *soft = if feather > 0.0 { 1.0 } else { 0.0 };
+    }
+    for _ in 0..power {
+        for (soft, &mut feather) in soft.iter_mut().zip(feather.iter_mut()) {
+            *soft *= feather;
+        }
+    }
+    for ((seen, doubt), soft) in seen.iter_mut().zip(doubt).zip(&soft) {
+        let valid = seen[3].max(1e-12);
+        let inverse = 1.0 / valid;
+        let [r, g, b] = [seen[0] * inverse, seen[1] * inverse, seen[2] * inverse];
+        let variance = noise.variance((r + g + b) * (1.0 / 3.0));
+        *doubt = [variance, valid.min(1.0)];
+        *seen = [r, g, b, soft * valid / variance];
+    }
+}
+
+#[multiversion(targets("x86_64+avx2+fma"))]
+fn add(seen: &[[f32; 4]], doubt: &[[f32; 2]], sums: &mut [[f32; 4]], spread: &mut [f32], valid: &mut [f32]) {
+    for (sum, &[r, g, b, weight]) in sums.iter_mut().zip(seen) {
+        let add = [r * weight, g * weight, b * weight, weight];
+        (0..4).for_each(|c| sum[c] += add[c]);
+    }
+    for ((spread, valid), (seen, doubt)) in spread.iter_mut().zip(valid).zip(seen.iter().zip(doubt)) {
+        *spread += seen[3] * seen[3] * doubt[0];
+        *valid += seen[3] * doubt[1];
+    }
+}
+
+/// The stored pixels with weights that fall with how much they contradict the mean.
+#[multiversion(targets("x86_64+avx2+fma"))]
+fn judge(
+    again: &mut [[f32; 4]; CHUNK],
+    (store, doubt): (&[[f32; 4]], &[[f32; 2]]),
+    (means, count): (&[[f32; 4]], &[u16]),
+    strictness: f32,
+) {
+    for ((again, (said, doubt)), (mean, &count)) in again.iter_mut().zip(store.iter().zip(doubt)).zip(means.iter().zip(count)) {
+        let away = [said[0] - mean[0], said[1] - mean[1], said[2] - mean[2]];
+        let square = (away[0] * away[0] + away[1] * away[1] + away[2] * away[2]) * (1.0 / 3.0);
+        // Three standard deviations are still nothing special.
+        let ratio = strictness * square / (9.0 * (doubt[0] + mean[3])).max(f32::MIN_POSITIVE);
+        let trust = if count < 3 { 1.0 } else { 1.0 / ((1.0 + ratio) * (1.0 + ratio)) };
+        *again = [said[0], said[1], said[2], said[3] * trust];
+    }
+}
