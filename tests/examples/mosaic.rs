@@ -61,7 +61,10 @@ fn measure(
     let lens = Lens::pinhole(640, 480, 320.0 / 25f64.to_radians().tan());
     let run = || -> Result<Merged> {
         let plate = |(picture, turn): (&Picture, &DQuat)| {
-            let pixel = |i: usize| [0, 1, 2, 3].map(|c| if c < 3 { picture.levels[i][c].into() } else { 1.0 });
+            let pixel = |i: usize| {
+                let [r, g, b] = picture.levels[i];
+                [r.into(), g.into(), b.into(), 1.0]
+            };
             Plate::new(size, &lens, *turn, pixel, Noise::EVEN, filter)
         };
         let plates: Vec<Plate> = frames.iter().zip(turns).map(plate).collect::<Result<_>>()?;

@@ -95,16 +95,20 @@ pub fn merge(sphere: &Sphere, plates: &[Plate], options: &Options, progress: &dy
     bands.enumerate().try_for_each_init(Room::new, |room, (number, mut band)| {
         let first = number * TILE.0;
         let rows = first..(first + TILE.0).min(height);
-        for column in (0..width).step_by(TILE.1) {
-            let columns = column..(column + TILE.1).min(width);
+        let level = sphere.level(&rows);
+        for column in (0..sphere.width(level)).step_by(TILE.1) {
+            let columns = column..(column + TILE.1).min(sphere.width(level));
             room.clear();
             for (plate, cover) in plates.iter().zip(&covers) {
-                room.gather(sphere, plate, cover, (&rows, &columns), options);
+                room.gather(sphere, plate, cover, (&rows, level, &columns), options);
             }
             if let Some(part) = options.disagreement {
                 room.settle(part);
             }
             room.write(&rows, &columns, width, &mut band);
+        }
+        if level > 0 {
+            (0..rows.len()).for_each(|row| widen(row * width..(row + 1) * width, level, &mut band));
         }
         progress.step(done.fetch_add(rows.len(), Ordering::Relaxed) + rows.len(), height)
     })?;
@@ -114,7 +118,13 @@ pub fn merge(sphere: &Sphere, plates: &[Plate], options: &Options, progress: &dy
 impl Cover {
     fn new(plate: &Plate, sphere: &Sphere) -> Self {
         let rows = plate.view.rows(sphere.size);
-        let arcs = rows.clone().map(|row| columns(&plate.view, sphere.size, row)).collect();
+        let height = sphere.size.height();
+        let arcs = rows.clone().map(|row| {
+            let first = row / TILE.0 * TILE.0;
+            let width = sphere.width(sphere.level(&(first..(first + TILE.0).min(height))));
+            columns(&plate.view, sphere.size, row, width)
+        });
+        let arcs = arcs.collect();
         Self { rows, arcs }
     }
 }
@@ -149,7 +159,7 @@ impl Room {
         sphere: &Sphere,
         plate: &Plate,
         cover: &Cover,
-        (rows, columns): (&Range<usize>, &Range<usize>),
+        (rows, level, columns): (&Range<usize>, usize, &Range<usize>),
         options: &Options,
     ) {
         let (mut places, mut seen, mut doubt) = (Places::NONE, [[0.0; 4]; CHUNK], [[0.0; 2]; CHUNK]);
@@ -158,7 +168,7 @@ impl Room {
                 let (from, to) = (from.max(columns.start), to.min(columns.end));
                 for first in (from..to).step_by(CHUNK) {
                     let count = CHUNK.min(to - first);
-                    look(plate, sphere, (row, first, count), &mut places, &mut seen);
+                    look(plate, sphere, (row, level, first..first + count), &mut places, &mut seen);
                     weigh(&mut seen, &mut doubt, &mut places.feather, plate.noise, options.feather);
                     let at = (row - rows.start) * TILE.1 + first - columns.start;
                     let all = at..at + count;
@@ -226,6 +236,39 @@ impl Room {
                     variance[to] = f32::INFINITY;
                 }
             }
+        }
+    }
+}
+
+/// Spreads the pixels at the beginning of a row near a pole, every 2^level-th column, over all its columns: by cubic convolution where all
+/// four around are seen, else from the nearest.
+fn widen(row: Range<usize>, level: usize, (((radiance, variance), coverage), measured): &mut Band) {
+    let (step, width) = (1 << level, row.len() >> level);
+    let (radiance, variance) = (&mut radiance[row.clone()], &mut variance[row.clone()]);
+    let (coverage, measured) = (&mut coverage[row.clone()], &mut measured[row]);
+    let few = radiance[..width].to_vec();
+    let (doubt, seen, valid) = (variance[..width].to_vec(), coverage[..width].to_vec(), measured[..width].to_vec());
+    // The weights of the four columns around for each place between two.
+    let weights: Vec<[f32; 4]> = (0..step)
+        .map(|i| {
+            let t = (i as f32 + 0.5) / step as f32;
+            let s = 1.0 - t;
+            [-0.5 * t * s * s, 1.0 + t * t * (1.5 * t - 2.5), 1.0 + s * s * (1.5 * s - 2.5), -0.5 * s * t * t]
+        })
+        .collect();
+    for left in 0..width {
+        let around = [left + width - 1, left, left + 1, left + 2].map(|i| i % width);
+        let whole = around.iter().all(|&i| seen[i] > 0);
+        for (i, weights) in weights.iter().enumerate() {
+            let to = (left * step + step / 2 + i) % radiance.len();
+            let nearest = around[if 2 * i < step { 1 } else { 2 }];
+            (variance[to], coverage[to], measured[to]) = (doubt[nearest], seen[nearest], valid[nearest]);
+            radiance[to] = if whole {
+                let [a, b, c, d] = around.map(|i| few[i]);
+                [0, 1, 2].map(|k| (weights[0] * a[k] + weights[1] * b[k] + weights[2] * c[k] + weights[3] * d[k]).max(0.0))
+            } else {
+                few[nearest]
+            };
         }
     }
 }

@@ -5,6 +5,7 @@
 //! that the photograph can cover lie between four planes through the camera, which cut a row in arcs.
 
 use std::f64::consts::{PI, TAU};
+use std::ops::Range;
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use multiversion::multiversion;
@@ -30,19 +31,36 @@ pub enum Filter {
     Spline,
 }
 
-/// Sines and cosines of a map's longitudes, which all rows share.
+/// Sines and cosines of a map's longitudes, which all rows share. Towards the poles, where a map's columns crowd, only
+/// every second, fourth, ... is looked at, so that those left are still closer than at the equator by two thirds; those between follow from them.
 pub struct Sphere {
     pub(super) size: LatLong,
-    sin: Vec<f32>,
-    cos: Vec<f32>,
+    levels: Vec<[Vec<f32>; 2]>,
 }
 
 impl Sphere {
     /// The table for a map of this size.
     pub fn new(size: LatLong) -> Self {
-        let angles = (0..size.width()).map(|column| size.longitude(column as f64));
-        let (sin, cos) = angles.map(|angle| (angle.sin() as f32, angle.cos() as f32)).unzip();
-        Self { size, sin, cos }
+        let level = |level: u32| {
+            let width = size.width() >> level;
+            let angles = (0..width).map(|column| PI - TAU * (column as f64 + 0.5) / width as f64);
+            let (sin, cos) = angles.map(|angle| (angle.sin() as f32, angle.cos() as f32)).unzip();
+            [sin, cos]
+        };
+        let most = size.width().trailing_zeros().min(8);
+        Self { size, levels: (0..=most).map(level).collect() }
+    }
+
+    /// How often the columns of these rows may be halved.
+    pub(super) fn level(&self, rows: &Range<usize>) -> usize {
+        let widest = |row: usize| self.size.latitude(row as f64).cos();
+        let widest = widest(rows.start).max(widest(rows.end - 1));
+        ((0.6 / widest).log2().max(0.0) as usize).min(self.levels.len() - 1)
+    }
+
+    /// How many columns are left at a level.
+    pub(super) fn width(&self, level: usize) -> usize {
+        self.levels[level][0].len()
     }
 }
 
@@ -132,29 +150,29 @@ impl View {
     }
 
     /// The rows of a map that the picture may cover.
-    pub(super) fn rows(&self, size: LatLong) -> std::ops::Range<usize> {
+    pub(super) fn rows(&self, size: LatLong) -> Range<usize> {
         let axis = self.camera_from_world.transpose() * DVec3::Z;
         let (latitude, reach) = (axis.y.clamp(-1.0, 1.0).asin(), self.border.radius2.sqrt().atan());
         let row = |latitude: f64| ((0.5 - latitude / PI) * size.height() as f64).clamp(0.0, size.height() as f64);
         (row(latitude + reach) as usize)..(row(latitude - reach).ceil() as usize)
     }
 
-    /// Where the pixels `first..first + count` of a row are seen.
-    fn places(&self, sphere: &Sphere, row: usize, first: usize, count: usize, places: &mut Places) {
-        let (up, level) = sphere.size.latitude(row as f64).sin_cos();
+    /// Where the pixels of a part of a row are seen.
+    fn places(&self, sphere: &Sphere, (row, level, columns): (usize, usize, Range<usize>), places: &mut Places) {
+        let (up, horizontal) = sphere.size.latitude(row as f64).sin_cos();
         let camera = self.camera_from_world;
         let coordinate = |i: usize| {
             let axis = camera.row(i);
-            [axis.x * level, axis.z * level, axis.y * up].map(|factor| factor as f32)
+            [axis.x * horizontal, axis.z * horizontal, axis.y * up].map(|factor| factor as f32)
         };
         let lens = &self.lens;
         let numbers = lens.numbers().map(|number| number as f32);
         let straight = numbers[4..] == [0.0; 5];
         let size = [(lens.width - 1) as f32, (lens.height - 1) as f32];
-        let range = first..first + count;
+        let [sin, cos] = &sphere.levels[level];
         find(
             [coordinate(0), coordinate(1), coordinate(2)],
-            (&sphere.sin[range.clone()], &sphere.cos[range]),
+            (&sin[columns.clone()], &cos[columns]),
             (numbers, straight, self.border.radius2 as f32 * 1.0001),
             size,
             places,
@@ -173,10 +191,10 @@ fn find(
     let scale = [2.0 / right, 2.0 / bottom];
     let outputs = places.x.iter_mut().zip(&mut places.y).zip(&mut places.feather);
     for (((px, py), feather), (sin, cos)) in outputs.zip(sin.iter().zip(cos)) {
-        let depth = z[0] * sin + z[1] * cos + z[2];
+        let depth = z[0].mul_add(*sin, z[1].mul_add(*cos, z[2]));
         let inverse = 1.0 / depth;
-        let mut u = (x[0] * sin + x[1] * cos + x[2]) * inverse;
-        let mut v = (y[0] * sin + y[1] * cos + y[2]) * inverse;
+        let mut u = x[0].mul_add(*sin, x[1].mul_add(*cos, x[2])) * inverse;
+        let mut v = y[0].mul_add(*sin, y[1].mul_add(*cos, y[2])) * inverse;
         let r2 = u * u + v * v;
         if !straight {
             let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
@@ -195,9 +213,9 @@ fn find(
     }
 }
 
-/// The columns of a row where all planes say inside: arcs on a circle, as half-open ranges of columns.
-pub(super) fn columns(view: &View, size: LatLong, row: usize) -> Vec<(usize, usize)> {
-    let mut arcs = vec![(0, size.width())];
+/// The columns of a row of `width` where all planes say inside: arcs on a circle, as half-open ranges of columns.
+pub(super) fn columns(view: &View, size: LatLong, row: usize, width: usize) -> Vec<(usize, usize)> {
+    let mut arcs = vec![(0, width)];
     let (up, level) = size.latitude(row as f64).sin_cos();
     let world_from_camera = view.camera_from_world.transpose();
     for plane in view.planes {
@@ -213,13 +231,13 @@ pub(super) fn columns(view: &View, size: LatLong, row: usize) -> Vec<(usize, usi
         }
         let half = (-constant / horizontal).acos();
         // Longitude falls with the column.
-        let column = |longitude: f64| (PI - longitude) / TAU * size.width() as f64 - 0.5;
+        let column = |longitude: f64| (PI - longitude) / TAU * width as f64 - 0.5;
         let first = column(towards + half).floor();
-        let count = ((column(towards - half).ceil() - first) as usize + 1).min(size.width());
-        let first = first.rem_euclid(size.width() as f64) as usize % size.width();
+        let count = ((column(towards - half).ceil() - first) as usize + 1).min(width);
+        let first = first.rem_euclid(width as f64) as usize % width;
         let end = first + count;
-        let pieces = if end > size.width() {
-            [(0, end - size.width()), (first, size.width())]
+        let pieces = if end > width {
+            [(0, end - width), (first, width)]
         } else {
             [(first, end), (0, 0)]
         };
@@ -243,17 +261,20 @@ pub(super) fn columns(view: &View, size: LatLong, row: usize) -> Vec<(usize, usi
     arcs
 }
 
-/// What `count` pixels from `first` on see in a plate: validity times red, green and blue, and validity; `places.feather` is 0 where
+/// What pixels see in a plate, those of a row (at a level of [`Sphere`]) in a range of at most [`CHUNK`] columns: validity times red, green and blue, and validity; `places.feather` is 0 where
 /// they see nothing of it.
 pub(super) fn look(
     plate: &Plate,
     sphere: &Sphere,
-    (row, first, count): (usize, usize, usize),
+    (row, level, columns): (usize, usize, Range<usize>),
     places: &mut Places,
     seen: &mut [[f32; 4]; CHUNK],
 ) {
-    places.feather[count..].fill(0.0);
-    plate.view.places(sphere, row, first, count, places);
+    let count = columns.len();
+    for unused in [&mut places.x, &mut places.y, &mut places.feather] {
+        unused[count..].fill(0.0);
+    }
+    plate.view.places(sphere, (row, level, columns), places);
     sample(plate.filter(), &plate.pixels, plate.stride, places, &mut seen[..count]);
 }
 
@@ -293,22 +314,32 @@ fn gather<const TAPS: usize>(
         2 => (0.0, 0),
         _ => (0.0, 1),
     };
-    let places = places.x.iter().zip(&places.y);
-    for (target, (&x, &y)) in seen.iter_mut().zip(places) {
-        let (x, y) = (x + offset, y + offset);
+    // Numbers and weights of all pixels first, many at a time.
+    let (mut across, mut down) = ([[0f32; CHUNK]; TAPS], [[0f32; CHUNK]; TAPS]);
+    let mut first = [0i32; CHUNK];
+    let (stride_i, skipped) = (stride as i32, (BORDER - before) as i32);
+    for i in 0..CHUNK {
+        let (x, y) = (places.x[i] + offset, places.y[i] + offset);
         let (column, line) = (x as i32, y as i32);
-        let (across, down) = (weights(x - column as f32), weights(y - line as f32));
-        let first = (line as usize + BORDER - before) * stride + column as usize + BORDER - before;
+        first[i] = (line + skipped) * stride_i + column + skipped;
+        let (wx, wy) = (weights(x - column as f32), weights(y - line as f32));
+        for k in 0..TAPS {
+            (across[k][i], down[k][i]) = (wx[k], wy[k]);
+        }
+    }
+    for (i, target) in seen.iter_mut().enumerate().take(CHUNK) {
+        let first = first[i] as usize;
         let mut sum = [0f32; 4];
-        for (j, down) in down.iter().enumerate() {
+        let wx: [f32; TAPS] = std::array::from_fn(|k| across[k][i]);
+        for j in 0..TAPS {
             let Some(line) = pixels.get(first + j * stride..).and_then(|line| line.first_chunk::<TAPS>()) else {
                 continue;
             };
             let mut along = [0f32; 4];
-            for (pixel, across) in line.iter().zip(&across) {
-                (0..4).for_each(|c| along[c] += across * pixel[c]);
+            for (pixel, wx) in line.iter().zip(&wx) {
+                (0..4).for_each(|c| along[c] = wx.mul_add(pixel[c], along[c]));
             }
-            (0..4).for_each(|c| sum[c] += down * along[c]);
+            (0..4).for_each(|c| sum[c] = down[j][i].mul_add(along[c], sum[c]));
         }
         *target = sum;
     }
