@@ -1,13 +1,24 @@
 //! From photographs taken on the spot, with their orientations, to a map of the radiance from every direction.
 //!
-//! The road: photographs and how the camera was turned ([`Shot`]) become [`Plate`]s, radiance at the map's own scale; [`merge`]
-//! puts them on the sphere.
+//! The road: [`Shots`] say which photographs there are and how the camera was turned; corners found in several photographs refine
+//! that, and what overlaps tells their gains; as [`Plate`]s, radiance at the map's own scale, they are put on the sphere ([`merge`]),
+//! which makes an [`EnvironmentMap`]. [`mosaic`] goes the whole road.
 
+mod align;
+mod features;
+mod fill;
+mod gain;
+mod map;
 mod merge;
+mod mosaic;
 mod plate;
 mod reduce;
+mod shots;
 mod warp;
 
+pub use map::{EnvironmentMap, Flag};
 pub use merge::{Merged, Options as MergeOptions, merge};
+pub use mosaic::{Mosaic, Options, Placed, mosaic};
 pub use plate::{Noise, Plate};
+pub use shots::{Shot, Shots};
 pub use warp::{Filter, Sphere};

@@ -293,7 +293,10 @@ impl LatLong {
         if !(2..=Self::MOST_ROWS).contains(&height) || width != 2 * height {
             return Err(Error::request(
                 format!("a latitude-longitude map of {width}x{height} pixels"),
-                format!("make it twice as wide as high, such as 4096x2048, with 2 to {} rows", Self::MOST_ROWS),
+                format!(
+                    "make it twice as wide as high, such as 4096x2048, with 2 to {} rows",
+                    Self::MOST_ROWS
+                ),
             ));
         }
         Ok(Self { height })
@@ -326,8 +329,7 @@ impl LatLong {
 
     /// The unit vector, in the world of environments, that a (fractional) pixel shows.
     pub fn direction(&self, pixel: DVec2) -> DVec3 {
-        let ((sin, cos), (up, level)) =
-            (self.longitude(pixel.x).sin_cos(), self.latitude(pixel.y).sin_cos());
+        let ((sin, cos), (up, level)) = (self.longitude(pixel.x).sin_cos(), self.latitude(pixel.y).sin_cos());
         DVec3::new(sin * level, up, cos * level)
     }
 
@@ -450,7 +452,12 @@ mod tests {
         assert!((at(0.0, 1.0, 0.0).y + 0.5).abs() < 1e-9 && (at(0.0, -1.0, 0.0).y - 199.5).abs() < 1e-9);
         // Who looks along -z has +x at the right hand; so has the map, whose edge that is.
         assert!(at(0.1, 0.0, -1.0).x < 20.0 && at(-0.1, 0.0, -1.0).x > 380.0);
-        for pixel in [DVec2::new(0.0, 0.0), DVec2::new(399.0, 199.0), DVec2::new(-0.4, 30.3), DVec2::new(210.0, 150.25)] {
+        for pixel in [
+            DVec2::new(0.0, 0.0),
+            DVec2::new(399.0, 199.0),
+            DVec2::new(-0.4, 30.3),
+            DVec2::new(210.0, 150.25),
+        ] {
             assert!((map.pixel(map.direction(pixel)) - pixel).length() < 1e-9);
         }
     }

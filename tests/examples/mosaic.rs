@@ -79,7 +79,9 @@ fn measure(
     }
     let (mut sum, mut count) = (0.0, 0);
     let scale = truth.height as f64 / size.height() as f64;
-    for (i, (pixel, _)) in merged.radiance.iter().zip(&merged.coverage).enumerate().filter(|(_, (_, n))| **n > 0) {
+    for (i, (pixel, _)) in
+        merged.radiance.iter().zip(&merged.coverage).enumerate().filter(|(_, (_, n))| **n > 0)
+    {
         let (x, y) = (i % size.width(), i / size.width());
         for c in 0..3 {
             let expected = at(truth, scale, x, y, c);

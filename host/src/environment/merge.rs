@@ -79,7 +79,12 @@ struct Room {
 ///
 /// # Errors
 /// [`crate::Error::Interrupted`] where `progress` says so.
-pub fn merge(sphere: &Sphere, plates: &[Plate], options: &Options, progress: &dyn Progress) -> Result<Merged> {
+pub fn merge(
+    sphere: &Sphere,
+    plates: &[Plate],
+    options: &Options,
+    progress: &dyn Progress,
+) -> Result<Merged> {
     let (width, height) = (sphere.size.width(), sphere.size.height());
     let mut merged = Merged {
         radiance: vec![[0.0; 3]; width * height],
@@ -172,7 +177,13 @@ impl Room {
                     weigh(&mut seen, &mut doubt, &mut places.feather, plate.noise, options.feather);
                     let at = (row - rows.start) * TILE.1 + first - columns.start;
                     let all = at..at + count;
-                    add(&seen, &doubt, &mut self.sums[all.clone()], &mut self.spread[all.clone()], &mut self.valid[all.clone()]);
+                    add(
+                        &seen,
+                        &doubt,
+                        &mut self.sums[all.clone()],
+                        &mut self.spread[all.clone()],
+                        &mut self.valid[all.clone()],
+                    );
                     let outputs = self.count[all].iter_mut().zip(&places.feather);
                     outputs.for_each(|(n, &feather)| *n += u16::from(feather > 0.0));
                     if options.disagreement.is_some() {
@@ -247,7 +258,8 @@ fn widen(row: Range<usize>, level: usize, (((radiance, variance), coverage), mea
     let (radiance, variance) = (&mut radiance[row.clone()], &mut variance[row.clone()]);
     let (coverage, measured) = (&mut coverage[row.clone()], &mut measured[row]);
     let few = radiance[..width].to_vec();
-    let (doubt, seen, valid) = (variance[..width].to_vec(), coverage[..width].to_vec(), measured[..width].to_vec());
+    let (doubt, seen, valid) =
+        (variance[..width].to_vec(), coverage[..width].to_vec(), measured[..width].to_vec());
     // The weights of the four columns around for each place between two.
     let weights: Vec<[f32; 4]> = (0..step)
         .map(|i| {
@@ -265,7 +277,9 @@ fn widen(row: Range<usize>, level: usize, (((radiance, variance), coverage), mea
             (variance[to], coverage[to], measured[to]) = (doubt[nearest], seen[nearest], valid[nearest]);
             radiance[to] = if whole {
                 let [a, b, c, d] = around.map(|i| few[i]);
-                [0, 1, 2].map(|k| (weights[0] * a[k] + weights[1] * b[k] + weights[2] * c[k] + weights[3] * d[k]).max(0.0))
+                [0, 1, 2].map(|k| {
+                    (weights[0] * a[k] + weights[1] * b[k] + weights[2] * c[k] + weights[3] * d[k]).max(0.0)
+                })
             } else {
                 few[nearest]
             };
@@ -321,7 +335,9 @@ fn judge(
     (means, count): (&[[f32; 4]], &[u16]),
     strictness: f32,
 ) {
-    for ((again, (said, doubt)), (mean, &count)) in again.iter_mut().zip(store.iter().zip(doubt)).zip(means.iter().zip(count)) {
+    for ((again, (said, doubt)), (mean, &count)) in
+        again.iter_mut().zip(store.iter().zip(doubt)).zip(means.iter().zip(count))
+    {
         let away = [said[0] - mean[0], said[1] - mean[1], said[2] - mean[2]];
         let square = (away[0] * away[0] + away[1] * away[1] + away[2] * away[2]) * (1.0 / 3.0);
         // Three standard deviations are still nothing special.

@@ -94,7 +94,11 @@ impl Plate {
 }
 
 /// A picture with its border repeated; for the spline its coefficients, which are mirrored there.
-fn padded((width, height): (usize, usize), filter: Filter, pixel: impl Fn(usize) -> [f32; 4]) -> Vec<[f32; 4]> {
+fn padded(
+    (width, height): (usize, usize),
+    filter: Filter,
+    pixel: impl Fn(usize) -> [f32; 4],
+) -> Vec<[f32; 4]> {
     if filter != Filter::Spline {
         return bordered((width, height), pixel);
     }

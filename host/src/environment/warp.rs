@@ -153,12 +153,18 @@ impl View {
     pub(super) fn rows(&self, size: LatLong) -> Range<usize> {
         let axis = self.camera_from_world.transpose() * DVec3::Z;
         let (latitude, reach) = (axis.y.clamp(-1.0, 1.0).asin(), self.border.radius2.sqrt().atan());
-        let row = |latitude: f64| ((0.5 - latitude / PI) * size.height() as f64).clamp(0.0, size.height() as f64);
+        let row =
+            |latitude: f64| ((0.5 - latitude / PI) * size.height() as f64).clamp(0.0, size.height() as f64);
         (row(latitude + reach) as usize)..(row(latitude - reach).ceil() as usize)
     }
 
     /// Where the pixels of a part of a row are seen.
-    fn places(&self, sphere: &Sphere, (row, level, columns): (usize, usize, Range<usize>), places: &mut Places) {
+    fn places(
+        &self,
+        sphere: &Sphere,
+        (row, level, columns): (usize, usize, Range<usize>),
+        places: &mut Places,
+    ) {
         let (up, horizontal) = sphere.size.latitude(row as f64).sin_cos();
         let camera = self.camera_from_world;
         let coordinate = |i: usize| {
@@ -236,11 +242,7 @@ pub(super) fn columns(view: &View, size: LatLong, row: usize, width: usize) -> V
         let count = ((column(towards - half).ceil() - first) as usize + 1).min(width);
         let first = first.rem_euclid(width as f64) as usize % width;
         let end = first + count;
-        let pieces = if end > width {
-            [(0, end - width), (first, width)]
-        } else {
-            [(first, end), (0, 0)]
-        };
+        let pieces = if end > width { [(0, end - width), (first, width)] } else { [(first, end), (0, 0)] };
         let before = std::mem::take(&mut arcs);
         for (a, b) in before {
             for (c, d) in pieces {
@@ -332,7 +334,8 @@ fn gather<const TAPS: usize>(
         let mut sum = [0f32; 4];
         let wx: [f32; TAPS] = std::array::from_fn(|k| across[k][i]);
         for j in 0..TAPS {
-            let Some(line) = pixels.get(first + j * stride..).and_then(|line| line.first_chunk::<TAPS>()) else {
+            let Some(line) = pixels.get(first + j * stride..).and_then(|line| line.first_chunk::<TAPS>())
+            else {
                 continue;
             };
             let mut along = [0f32; 4];

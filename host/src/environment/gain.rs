@@ -1,0 +1,197 @@
+//! One gain per photograph and channel, and what of the lens's shading and the response the overlaps tell.
+
+use glam::{DQuat, DVec3};
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+use super::warp::Border;
+use crate::Result;
+use crate::geometry::Lens;
+
+/// Directions that are looked at.
+const DIRECTIONS: usize = 40_000;
+/// Directions that two photographs must share for the one to tell the other's gain.
+const SHARED: usize = 12;
+const ROUNDS: usize = 12;
+/// So many neighbouring directions are one observation.
+const ALIKE: f64 = 50.0;
+/// A stated exposure is thought to hold so well, relative; without any, gains are near each other in their logarithms so far.
+const STATED: f64 = 0.05;
+const UNSTATED: f64 = 3.0;
+/// Shading by r² and r⁴ (r of the half diagonal), and the bend of an assumed response: its exponent and its square.
+const SHAPE_SIGMA: [f64; 4] = [0.1, 0.1, 0.1, 0.03];
+
+/// A photograph's exposures, averaged over blocks of pixels; `None` where one was not measured.
+pub(super) struct Blocks {
+    pub lens: Lens,
+    pub exposure: Vec<Option<[f32; 3]>>,
+}
+
+/// What turns exposures of one channel into radiance: `exp(ln x (1 + bend + bend2 ln x) + shade r² + shade2 r⁴ - gain)`.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Photometry {
+    /// Natural logarithms, one for each photograph.
+    pub gains: Vec<f64>,
+    pub sigmas: Vec<f64>,
+    /// Shading by r² and r⁴, bend and bend2.
+    pub shape: [f64; 4],
+    /// Photographs whose gain no other one tells.
+    pub alone: Vec<usize>,
+}
+
+impl Photometry {
+    /// What a pixel's exposure is worth before the gain, as its logarithm.
+    pub fn ln_radiance(&self, ln_exposure: f64, r2: f64) -> f64 {
+        let [shade, shade2, bend, bend2] = self.shape;
+        ln_exposure * (1.0 + bend + bend2 * ln_exposure) + r2 * (shade + shade2 * r2)
+    }
+}
+
+/// The squared distance of a pixel from the axis, 1 in the corner.
+pub(super) fn shade_r2(lens: &Lens, x: f64, y: f64) -> f64 {
+    let half = 0.25 * (f64::from(lens.width).powi(2) + f64::from(lens.height).powi(2));
+    ((x - lens.cx).powi(2) + (y - lens.cy).powi(2)) / half
+}
+
+/// Solves each channel by itself; `exposures` are those stated. With `bends` the response may bend.
+pub(super) fn solve(
+    blocks: &[Blocks],
+    turns: &[DQuat],
+    stated: &[Option<f64>],
+    bends: bool,
+) -> Result<[Photometry; 3]> {
+    for blocks in blocks {
+        Border::new(&blocks.lens)?;
+    }
+    // What every direction looks like in every photograph: number, r² and exposure.
+    let looks: Vec<Vec<(usize, f64, [f32; 3])>> = (0..DIRECTIONS)
+        .into_par_iter()
+        .map(|i| {
+            let up = 1.0 - 2.0 * (i as f64 + 0.5) / DIRECTIONS as f64;
+            let (sin, cos) = (i as f64 * std::f64::consts::PI * (1.0 + 5f64.sqrt())).sin_cos();
+            let level = (1.0 - up * up).sqrt();
+            let direction = DVec3::new(sin * level, up, cos * level);
+            let look = |(frame, (blocks, turn)): (usize, (&Blocks, &DQuat))| {
+                let at = blocks.lens.project(turn.inverse() * direction)?;
+                let (x, y) = (at.x.round(), at.y.round());
+                let (width, height) = (f64::from(blocks.lens.width), f64::from(blocks.lens.height));
+                if !(x >= 0.0 && y >= 0.0 && x < width && y < height) {
+                    return None;
+                }
+                let exposure = blocks.exposure[y as usize * width as usize + x as usize]?;
+                Some((frame, shade_r2(&blocks.lens, at.x, at.y), exposure))
+            };
+            blocks.iter().zip(turns).enumerate().filter_map(look).collect()
+        })
+        .collect();
+    let alone = alone(&looks, blocks.len());
+    let solved: Vec<Photometry> =
+        (0..3).into_par_iter().map(|channel| channel_of(channel, &looks, stated, bends, &alone)).collect();
+    let [r, g, b] =
+        <[Photometry; 3]>::try_from(solved).unwrap_or_else(|_| unreachable!("there are three channels"));
+    Ok([r, g, b])
+}
+
+fn channel_of(
+    channel: usize,
+    looks: &[Vec<(usize, f64, [f32; 3])>],
+    stated: &[Option<f64>],
+    bends: bool,
+    alone: &[usize],
+) -> Photometry {
+    let frames = stated.len();
+    let unknowns = frames + 4;
+    let known: Vec<f64> = stated.iter().flatten().map(|exposure| exposure.ln()).collect();
+    let mean = known.iter().sum::<f64>() / known.len().max(1) as f64;
+    let prior: Vec<(f64, f64)> = stated
+        .iter()
+        .map(|exposure| exposure.map_or((0.0, UNSTATED), |exposure| (exposure.ln() - mean, STATED)))
+        .collect();
+    let mut found = Photometry {
+        gains: prior.iter().map(|(gain, _)| *gain).collect(),
+        sigmas: vec![0.0; frames],
+        shape: [0.0; 4],
+        alone: alone.to_vec(),
+    };
+    let mut scale = 0.5;
+    for round in 0..ROUNDS {
+        let mut normal = DMatrix::<f64>::zeros(unknowns, unknowns);
+        let mut right = DVector::<f64>::zeros(unknowns);
+        let mut distances = vec![];
+        let mut add = |(i, r2_i, x_i): (usize, f64, f64), (j, r2_j, x_j): (usize, f64, f64), share: f64| {
+            let difference =
+                found.ln_radiance(x_i, r2_i) - found.gains[i] - found.ln_radiance(x_j, r2_j) + found.gains[j];
+            distances.push(difference.abs());
+            let weight = share / (scale * scale + difference * difference);
+            let row = [
+                (i, -1.0),
+                (j, 1.0),
+                (frames, r2_i - r2_j),
+                (frames + 1, r2_i * r2_i - r2_j * r2_j),
+                (frames + 2, x_i - x_j),
+                (frames + 3, x_i * x_i - x_j * x_j),
+            ];
+            for (a, by_a) in row {
+                for (b, by_b) in row {
+                    normal[(a, b)] += weight * by_a * by_b;
+                }
+                right[a] -= weight * by_a * difference;
+            }
+        };
+        for look in looks.iter().filter(|look| look.len() > 1) {
+            let of = |k: usize| (look[k].0, look[k].1, f64::from(look[k].2[channel]).ln());
+            // Pairs of a direction are not so many observations, nor are neighbouring directions, which show the same object.
+            let share = 2.0 / (ALIKE * look.len() as f64);
+            for a in 0..look.len() {
+                (a + 1..look.len()).for_each(|b| add(of(a), of(b), share));
+            }
+        }
+        for (i, (gain, sigma)) in prior.iter().enumerate() {
+            normal[(i, i)] += sigma.powi(-2);
+            right[i] -= (found.gains[i] - gain) / (sigma * sigma);
+        }
+        for k in 0..4 {
+            let sigma = if k < 2 || bends { SHAPE_SIGMA[k] } else { 1e-6 };
+            normal[(frames + k, frames + k)] += sigma.powi(-2);
+            right[frames + k] -= found.shape[k] / (sigma * sigma);
+        }
+        let Some(cholesky) = normal.cholesky() else { break };
+        let step = cholesky.solve(&right);
+        found.gains.iter_mut().enumerate().for_each(|(i, gain)| *gain += step[i]);
+        (0..4).for_each(|k| found.shape[k] += step[frames + k]);
+        distances.sort_by(f64::total_cmp);
+        scale = (1.5 * distances.get(distances.len() / 2).copied().unwrap_or(scale)).clamp(0.01, 0.5);
+        if round + 1 == ROUNDS {
+            let covariance = cholesky.inverse();
+            (0..frames).for_each(|i| found.sigmas[i] = covariance[(i, i)].sqrt());
+        }
+    }
+    found
+}
+
+/// Photographs that are not linked to the largest group by directions that both show.
+fn alone(looks: &[Vec<(usize, f64, [f32; 3])>], frames: usize) -> Vec<usize> {
+    let mut shared = vec![0usize; frames * frames];
+    for look in looks {
+        for a in 0..look.len() {
+            for b in a + 1..look.len() {
+                shared[look[a].0 * frames + look[b].0] += 1;
+            }
+        }
+    }
+    let mut group: Vec<usize> = (0..frames).collect();
+    // Frames are few: as many passes as a chain could need.
+    for _ in 0..frames {
+        for i in 0..frames {
+            for j in i + 1..frames {
+                if shared[i * frames + j] >= SHARED {
+                    let least = group[i].min(group[j]);
+                    (group[i], group[j]) = (least, least);
+                }
+            }
+        }
+    }
+    let size = |of: usize| group.iter().filter(|&&other| other == of).count();
+    let largest = (0..frames).max_by_key(|&of| (size(of), frames - of)).unwrap_or(0);
+    (0..frames).filter(|&i| group[i] != largest).collect()
+}

@@ -1,0 +1,339 @@
+//! The whole road: photographs with orientations to a map.
+
+use std::path::PathBuf;
+
+use glam::DQuat;
+use rayon::prelude::*;
+
+use super::align::{Aligned, Prior, align};
+use super::features::Gray;
+use super::gain::{Blocks, Photometry, shade_r2, solve};
+use super::map::EnvironmentMap;
+use super::shots::Shots;
+use super::{Filter, MergeOptions, Noise, Plate, Sphere, merge};
+use crate::geometry::{LatLong, Lens};
+use crate::picture::Picture;
+use crate::progress::Progress;
+use crate::radiance::{NoiseModel, Response};
+use crate::{Error, Result};
+
+/// How the map is made.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// The map's size.
+    pub size: LatLong,
+    /// The lens; else the one of the shots' file.
+    pub lens: Option<Lens>,
+    /// The horizontal field of view, radians, where there is no lens.
+    pub field_of_view_rad: Option<f64>,
+    /// How sure the orientations are where their file does not say, standard deviation about each axis, radians.
+    pub sigma_rad: f64,
+    /// Whether the photographs refine orientations and focal length.
+    pub refine: bool,
+    /// What levels are worth: a table, or sRGB (`None`).
+    pub response: Option<PathBuf>,
+    /// Levels are proportional to exposure.
+    pub linear: bool,
+    /// How plates are merged.
+    pub merge: MergeOptions,
+    /// Whether what was never seen is filled from what is around.
+    pub fill: bool,
+}
+
+/// A photograph as it was found to be.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Placed {
+    /// Its file's name.
+    pub name: String,
+    /// Camera frame to the world.
+    pub world_from_camera: DQuat,
+    /// How sure that is, about each axis, radians.
+    pub sigma_rad: f64,
+    /// How many of its corners were found in others.
+    pub matched: usize,
+    /// Exposure over radiance, red, green, blue, relative to the geometric mean of all.
+    pub gain: [f64; 3],
+    /// The gain's relative standard deviation (green).
+    pub gain_sigma: f64,
+}
+
+/// A map and how it came about.
+pub struct Mosaic {
+    /// The map.
+    pub map: EnvironmentMap,
+    /// One for each photograph.
+    pub placed: Vec<Placed>,
+    /// The lens as it was refined.
+    pub lens: Lens,
+    /// Median distance of matched corners, radians.
+    pub residual_rad: f64,
+    /// What the user should know.
+    pub notes: Vec<String>,
+}
+
+/// Blocks of pixels across a photograph for the gains; pixels across for corners.
+const BLOCKS: u32 = 120;
+const GRAY: u32 = 1000;
+/// How little a pixel counts whose radiance is a lower bound, where another one measured it.
+const BOUND: f32 = 1e-4;
+
+/// Makes a map of photographs.
+///
+/// # Errors
+/// [`Error::Request`] or [`Error::Input`], naming the photograph: fewer than two, none overlaps another, sizes that differ, a lens for
+/// another size, no lens at all; [`Error::Interrupted`].
+pub fn mosaic(shots: &Shots, options: &Options, progress: &dyn Progress) -> Result<Mosaic> {
+    let all = &shots.shots;
+    if all.len() < 2 {
+        return Err(Error::request(
+            format!("a map of {} photograph", all.len()),
+            "give at least two photographs that overlap",
+        ));
+    }
+    let steps = 4 * all.len();
+    let counted = std::sync::atomic::AtomicUsize::new(0);
+    let pictures: Vec<Picture> = all
+        .par_iter()
+        .map(|shot| {
+            let picture = Picture::read(&shot.path)?;
+            progress.step(counted.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1, steps)?;
+            Ok(picture)
+        })
+        .collect::<Result<_>>()?;
+    let first = &pictures[0];
+    for picture in &pictures {
+        if (picture.width, picture.height, picture.white) != (first.width, first.height, first.white) {
+            return Err(Error::input(
+                &picture.path,
+                format!("is {}x{} pixels to level {}", picture.width, picture.height, picture.white),
+                format!(
+                    "give photographs of one size and depth, as {} has: {}x{}",
+                    all[0].name(),
+                    first.width,
+                    first.height
+                ),
+            ));
+        }
+    }
+    let (lens, calibrated) = lens(shots, options, first)?;
+    let mut notes = vec![];
+    let response = match (&options.response, options.linear) {
+        (Some(path), _) => Response::read_csv(path)?,
+        (None, true) => Response::linear(first.white),
+        (None, false) if first.white == Picture::FLOAT_WHITE => Response::linear(first.white),
+        (None, false) => Response::srgb(first.white),
+    };
+    if response.white() != first.white {
+        let what =
+            format!("its levels go to {}, those of the photographs to {}", response.white(), first.white);
+        return Err(Error::request(what, "give the response of these photographs"));
+    }
+    let noise = NoiseModel::assumed(&response);
+
+    let priors: Vec<Prior> = all
+        .iter()
+        .map(|shot| Prior {
+            turn: shot.world_from_camera,
+            sigma_rad: shot.sigma_rad.unwrap_or(options.sigma_rad).max(1e-5),
+        })
+        .collect();
+    let aligned = if options.refine {
+        let white = f32::from(first.white) * 3.0;
+        let gray = |picture: &Picture| {
+            let level =
+                |i: usize| picture.levels[i].iter().map(|&level| f32::from(level)).sum::<f32>() / white;
+            Gray::new(&lens, level, GRAY)
+        };
+        let grays: Vec<Gray> = pictures.par_iter().map(gray).collect();
+        let doubt = if calibrated { (0.005, 0.005) } else { (0.05, 0.05) };
+        align(&grays, &priors, doubt, progress)?
+    } else {
+        Aligned {
+            turns: priors.iter().map(|prior| prior.turn).collect(),
+            sigma_rad: priors.iter().map(|prior| prior.sigma_rad).collect(),
+            matched: vec![0; all.len()],
+            lens,
+            residual_rad: 0.0,
+        }
+    };
+    let grown = if options.refine { aligned.lens.fx / gray_fx(&lens) } else { 1.0 };
+    let lens = Lens { fx: lens.fx * grown, fy: lens.fy * grown, k1: aligned.lens.k1, ..lens };
+    let unmatched: Vec<String> = all
+        .iter()
+        .zip(&aligned.matched)
+        .filter(|(_, matched)| **matched == 0)
+        .map(|(shot, _)| shot.name())
+        .collect();
+    if options.refine && !unmatched.is_empty() {
+        notes.push(format!(
+            "no corner of {} was found in another photograph: the orientation given stands",
+            unmatched.join(", ")
+        ));
+    }
+
+    let blocks: Vec<Blocks> =
+        pictures.par_iter().map(|picture| blocks(picture, &lens, &response, &noise)).collect();
+    let stated: Vec<Option<f64>> = all.iter().map(|shot| shot.exposure).collect();
+    let photometry = solve(&blocks, &aligned.turns, &stated, response.is_assumed())?;
+    let alone = &photometry[1].alone;
+    if alone.len() + 1 >= all.len() {
+        return Err(Error::request(
+            format!(
+                "none of the {} photographs shows what another one shows, at these orientations",
+                all.len()
+            ),
+            "check the orientations and the field of view, or take photographs that overlap by a third",
+        ));
+    }
+    if !alone.is_empty() {
+        let names: Vec<String> = alone.iter().map(|&i| all[i].name()).collect();
+        let how =
+            if alone.iter().all(|&i| stated[i].is_some()) { "the stated exposure" } else { "the mean gain" };
+        notes.push(format!(
+            "{} overlap no other measured photograph: {how} stands for their gain",
+            names.join(", ")
+        ));
+    }
+    let plates: Vec<Plate> = pictures
+        .par_iter()
+        .enumerate()
+        .map(|(i, picture)| {
+            plate(picture, &lens, (&response, &noise), &photometry, (i, aligned.turns[i], options.size))
+        })
+        .collect::<Result<_>>()?;
+    let merged = merge(&Sphere::new(options.size), &plates, &options.merge, progress)?;
+    let flags = merged.coverage.iter().zip(&merged.measured).map(|(&coverage, &measured)| match coverage {
+        0 => EnvironmentMap::UNSEEN,
+        _ if measured < 0.5 => EnvironmentMap::LOWER_BOUND,
+        _ => 0,
+    });
+    let flags = flags.collect();
+    let mut map = EnvironmentMap {
+        size: options.size,
+        radiance: merged.radiance,
+        variance: merged.variance,
+        coverage: merged.coverage,
+        flags,
+    };
+    if options.fill {
+        super::fill::fill(&mut map);
+    }
+    let placed = all.iter().enumerate().map(|(i, shot)| Placed {
+        name: shot.name(),
+        world_from_camera: aligned.turns[i],
+        sigma_rad: aligned.sigma_rad[i],
+        matched: aligned.matched[i],
+        gain: [0, 1, 2].map(|c| photometry[c].gains[i].exp()),
+        gain_sigma: photometry[1].sigmas[i],
+    });
+    Ok(Mosaic { map, placed: placed.collect(), lens, residual_rad: aligned.residual_rad, notes })
+}
+
+/// The focal length that [`Gray`] starts from.
+fn gray_fx(lens: &Lens) -> f64 {
+    lens.fx / f64::from(lens.width.div_ceil(GRAY).max(1))
+}
+
+fn lens(shots: &Shots, options: &Options, first: &Picture) -> Result<(Lens, bool)> {
+    let size = format!("{}x{}", first.width, first.height);
+    let Some(lens) = options.lens.or(if options.field_of_view_rad.is_some() { None } else { shots.lens })
+    else {
+        let Some(angle) = options.field_of_view_rad else {
+            return Err(Error::request("nothing tells the lens", "give --lens FILE or --fov DEGREES"));
+        };
+        if !(angle > 0.01 && angle < 3.0) {
+            return Err(Error::request(
+                format!("a field of view of {:.1} degrees", angle.to_degrees()),
+                "give the angle across the picture, from 1 to 170 degrees",
+            ));
+        }
+        let focal = f64::from(first.width) / 2.0 / (angle / 2.0).tan();
+        return Ok((Lens::pinhole(first.width, first.height, focal), false));
+    };
+    if u64::from(lens.width) * u64::from(first.height) != u64::from(lens.height) * u64::from(first.width) {
+        return Err(Error::input(
+            &first.path,
+            format!("is {size} pixels, the lens is for {}x{}", lens.width, lens.height),
+            "calibrate the lens with photographs of this camera at this size",
+        ));
+    }
+    Ok((lens.scaled_to(first.width, first.height), true))
+}
+
+/// Whether a pixel was measured: neither saturated nor too dark.
+fn measured(levels: [u16; 3], noise: &NoiseModel) -> (bool, bool) {
+    let saturated = (0..3).any(|c| levels[c] >= noise.saturated_level[c]);
+    (saturated, (0..3).any(|c| levels[c] <= noise.dark_level[c]))
+}
+
+fn blocks(picture: &Picture, lens: &Lens, response: &Response, noise: &NoiseModel) -> Blocks {
+    let by = picture.width.div_ceil(BLOCKS).max(1);
+    let small = lens.scaled_to((picture.width / by).max(1), (picture.height / by).max(1));
+    let exposure = (0..small.width * small.height).map(|i| {
+        let (x, y) = (i % small.width * by, i / small.width * by);
+        let mut sum = [0f32; 3];
+        for k in 0..by * by {
+            let levels = picture.levels[((y + k / by) * picture.width + x + k % by) as usize];
+            if measured(levels, noise) != (false, false) {
+                return None;
+            }
+            (0..3).for_each(|c| sum[c] += response.exposure(c)[usize::from(levels[c])]);
+        }
+        Some(sum.map(|sum| sum / (by * by) as f32)).filter(|mean| mean.iter().all(|x| *x > 0.0))
+    });
+    Blocks { lens: small, exposure: exposure.collect() }
+}
+
+fn plate(
+    picture: &Picture,
+    lens: &Lens,
+    (response, noise): (&Response, &NoiseModel),
+    photometry: &[Photometry; 3],
+    (number, turn, size): (usize, DQuat, LatLong),
+) -> Result<Plate> {
+    // Radiance of every level on the axis; shading is a factor.
+    let white = usize::from(response.white());
+    let table = |c: usize| -> Vec<f32> {
+        let p = &photometry[c];
+        let mut most = 0f32;
+        let value = |level: usize| {
+            let exposure = f64::from(response.exposure(c)[level]);
+            if exposure <= 0.0 {
+                return 0.0;
+            }
+            // More exposure is more radiance, however the response was bent.
+            most = most.max((p.ln_radiance(exposure.ln(), 0.0) - p.gains[number]).exp() as f32);
+            most
+        };
+        (0..=white).map(value).collect()
+    };
+    let tables = [table(0), table(1), table(2)];
+    // The brightest photograph's white tells least of what is brighter.
+    let darkest =
+        (0..photometry[1].gains.len()).map(|i| photometry[1].gains[i]).fold(f64::INFINITY, f64::min);
+    let bound = BOUND * ((darkest - photometry[1].gains[number]) * 4.0).exp().max(1e-12) as f32;
+    let shade = photometry.each_ref().map(|p| [p.shape[0], p.shape[1]]);
+    let width = picture.width as usize;
+    let pixel = |i: usize| {
+        let levels = picture.levels[i];
+        let r2 = shade_r2(lens, (i % width) as f64, (i / width) as f64);
+        let value = |c: usize| {
+            let [a, b] = shade[c];
+            tables[c][usize::from(levels[c])] * (r2 * (a + b * r2)).exp() as f32
+        };
+        let (saturated, _) = measured(levels, noise);
+        [value(0), value(1), value(2), if saturated { bound } else { 1.0 }]
+    };
+    // The variance of a level in radiance, as a square of its radiance.
+    let green = |level: usize| {
+        let (x, slope) = (f64::from(response.exposure(1)[level]), f64::from(response.slope(1, level)));
+        let radiance = f64::from(tables[1][level]);
+        (radiance, noise.variance(1, x, slope) * (radiance / x.max(1e-9)).powi(2))
+    };
+    let at = |part: f64| green(((white as f64 * part) as usize).max(1));
+    let (dark, middle, bright) = (at(0.04), at(0.35), at(0.9));
+    let linear = ((bright.1 - dark.1) / (bright.0 - dark.0).max(1e-30)).max(0.0);
+    let constant = (dark.1 - linear * dark.0).max(1e-3 * middle.1).max(1e-30);
+    let noise = Noise { constant: constant as f32, linear: linear as f32, square: 1e-5 };
+    Plate::new(size, lens, turn, pixel, noise, Filter::Bicubic)
+}
