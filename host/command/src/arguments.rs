@@ -50,6 +50,8 @@ pub enum Verb {
     Render(Render),
     /// Compare a parameter map with views that it has not seen: a table, CSV and difference pictures
     Evaluate(Evaluate),
+    /// Put photographs taken on the spot on a sphere: an OpenEXR map of the radiance from every direction
+    Mosaic(Mosaic),
     /// Measure speed against accuracy on simulated devices, and what happens where a method breaks: charts and raw figures
     Chart(Chart),
 }
@@ -59,6 +61,42 @@ pub struct Chart {
     /// Folder for the page, its charts and the raw figures (CSV)
     #[arg(long, default_value = "rigel-charts")]
     pub out: PathBuf,
+}
+
+#[derive(Args)]
+pub struct Mosaic {
+    /// Folder with frames.json or frames.csv, or such a file: photographs and how the camera was turned
+    pub shots: PathBuf,
+    /// The map
+    #[arg(long, default_value = "map.exr")]
+    pub out: PathBuf,
+    /// Columns and rows, twice as wide as high
+    #[arg(long, default_value = "4096x2048", value_parser = parse_texels)]
+    pub size: Texels,
+    /// The lens, as `rigel calibrate` or OpenCV wrote it [default: the one in frames.json]
+    #[arg(long)]
+    pub lens: Option<PathBuf>,
+    /// The angle across a photograph, degrees, where there is no lens
+    #[arg(long = "fov", value_name = "DEGREES", conflicts_with = "lens")]
+    pub fov_deg: Option<f64>,
+    /// How sure the orientations are about each axis, degrees, where the file does not say
+    #[arg(long = "sigma", value_name = "DEGREES", default_value_t = 2.0)]
+    pub sigma_deg: f64,
+    /// Take the orientations as they are
+    #[arg(long)]
+    pub no_refine: bool,
+    /// What the photographs' levels are worth: srgb, linear, or a response.csv
+    #[arg(long, default_value = "srgb")]
+    pub response: String,
+    /// Fill what was never seen from what is around
+    #[arg(long)]
+    pub fill: bool,
+    /// Write a PNG beside the map, for a look
+    #[arg(long)]
+    pub png: bool,
+    /// Replace the map that is there
+    #[arg(long)]
+    pub force: bool,
 }
 
 #[derive(Args)]

@@ -33,6 +33,7 @@ fn main() -> ExitCode {
         Verb::Plan(arguments) => verbs::plan(&arguments),
         Verb::Render(arguments) => verbs::render(&arguments),
         Verb::Evaluate(arguments) => verbs::evaluate(&arguments),
+        Verb::Mosaic(arguments) => verbs::mosaic(&arguments),
         Verb::Chart(arguments) => verbs::chart(&arguments),
     };
     match outcome {

@@ -7,6 +7,7 @@ mod chart;
 mod demo;
 mod fit;
 mod import;
+mod mosaic;
 mod plan;
 mod register;
 
@@ -17,6 +18,7 @@ pub use chart::chart;
 pub use demo::demo;
 pub use fit::{evaluate, fit, render};
 pub use import::{import, observe, radiance};
+pub use mosaic::mosaic;
 pub use plan::plan;
 pub use register::register;
 

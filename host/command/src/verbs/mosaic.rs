@@ -1,0 +1,82 @@
+//! From photographs with orientations to a map of the room: `mosaic`.
+
+use rigel::Result;
+use rigel::environment::{EnvironmentMap, MergeOptions, Options, Shots, mosaic as make};
+use rigel::geometry::LatLong;
+use rigel::picture::Picture;
+use rigel::view_file::Calibration;
+
+use crate::arguments::Mosaic;
+use crate::progress::Bar;
+use crate::say::say;
+use crate::verbs::{require_extension, require_place};
+
+/// The widest PNG.
+const LOOK: u32 = 2048;
+
+/// `rigel mosaic`.
+pub fn mosaic(arguments: &Mosaic) -> Result<()> {
+    let bar = Bar::new("mosaic");
+    require_extension(&arguments.out, "exr")?;
+    require_place(&arguments.out, arguments.force)?;
+    let size = LatLong::new(arguments.size.columns, arguments.size.rows)?;
+    let shots = Shots::read(&arguments.shots)?;
+    let lens = match &arguments.lens {
+        None => None,
+        Some(path) => {
+            let first = Picture::read(&shots.shots[0].path)?;
+            Some(Calibration::read(path, 0.0)?.lens(first.width, first.height))
+        }
+    };
+    let response = arguments.response.as_str();
+    let options = Options {
+        size,
+        lens,
+        field_of_view_rad: arguments.fov_deg.map(f64::to_radians),
+        sigma_rad: arguments.sigma_deg.to_radians(),
+        refine: !arguments.no_refine,
+        response: (!["srgb", "linear"].contains(&response)).then(|| response.into()),
+        linear: response == "linear",
+        merge: MergeOptions { feather: 4, disagreement: Some(0.1) },
+        fill: arguments.fill,
+    };
+    let made = make(&shots, &options, &bar).map_err(|error| error.about(&arguments.shots))?;
+    for placed in &made.placed {
+        let [r, g, b] = placed.gain;
+        say!(
+            "{}: orientation ± {:.3} degrees, {} corners; gain {r:.3} {g:.3} {b:.3} ± {:.1} %",
+            placed.name,
+            placed.sigma_rad.to_degrees(),
+            placed.matched,
+            100.0 * placed.gain_sigma
+        );
+    }
+    for note in &made.notes {
+        say!("note: {note}");
+    }
+    made.map.write(&arguments.out)?;
+    if arguments.png {
+        made.map.write_png(&arguments.out.with_extension("png"), LOOK)?;
+    }
+    let part = |flag: u8| {
+        let rows = 0..size.height();
+        let angle = rows.map(|row| {
+            let line = &made.map.flags[row * size.width()..(row + 1) * size.width()];
+            line.iter().filter(|&&flags| flags & flag != 0).count() as f64 * size.solid_angle(row)
+        });
+        100.0 * angle.sum::<f64>() / (4.0 * std::f64::consts::PI)
+    };
+    say!(
+        "wrote {}: {}x{}, {} photographs, focal length {:.1} px, matched corners {:.3} degrees apart; of the sphere {:.1} % were never seen{}, {:.2} % are lower bounds",
+        arguments.out.display(),
+        size.width(),
+        size.height(),
+        made.placed.len(),
+        made.lens.fx,
+        made.residual_rad.to_degrees(),
+        part(EnvironmentMap::UNSEEN | EnvironmentMap::FILLED),
+        if arguments.fill { " and filled" } else { "" },
+        part(EnvironmentMap::LOWER_BOUND)
+    );
+    Ok(())
+}

@@ -1,0 +1,207 @@
+//! Photographs of a known sphere become a map of it again: orientations, gains, coverage, poles, and what is refused.
+
+#![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
+
+use std::path::Path;
+
+use glam::{DQuat, DVec2, DVec3};
+use rand::rngs::StdRng;
+use rand::{Rng, SeedableRng};
+use rigel::environment::{EnvironmentMap, MergeOptions, Mosaic, Options, Shot, Shots, mosaic};
+use rigel::geometry::{LatLong, Lens, world_from_camera};
+use rigel::progress::Silent;
+
+const LENS: (u32, u32, f64) = (200, 150, 150.0);
+
+/// Radiance from every direction: bumps of several sizes, red and blue differing, between 0.1 and 0.9; flat without texture.
+struct Room {
+    bumps: Vec<(DVec3, f64, f64)>,
+}
+
+impl Room {
+    fn new(seed: u64, bumps: usize) -> Self {
+        let mut random = StdRng::seed_from_u64(seed);
+        let mut bump = || {
+            let direction =
+                DVec3::from_array(std::array::from_fn(|_| random.random_range(-1.0..1.0))).normalize();
+            (direction, random.random_range(0.02..0.08f64), random.random_range(-0.3..0.3))
+        };
+        Self { bumps: (0..bumps).map(|_| bump()).collect() }
+    }
+
+    fn radiance(&self, d: DVec3) -> f64 {
+        let sum: f64 = self
+            .bumps
+            .iter()
+            .map(|(at, size, height)| height * (-(d.distance_squared(*at)) / (2.0 * size * size)).exp())
+            .sum();
+        0.4 + 0.3 * sum.clamp(-1.0, 1.0)
+    }
+}
+
+/// A tour of the sphere with its poles, each photograph with its own exposure time, and orientations that are `noise_rad` off.
+fn shots(folder: &Path, room: &Room, noise_rad: f64) -> (Shots, Vec<DQuat>) {
+    let mut random = StdRng::seed_from_u64(5);
+    let lens = Lens::pinhole(LENS.0, LENS.1, LENS.2);
+    let (mut shots, mut truth) = (vec![], vec![]);
+    for (pitch, count) in [(-80.0f64, 3), (-40.0, 8), (0.0, 10), (40.0, 8), (80.0, 3)] {
+        for i in 0..count {
+            let yaw = std::f64::consts::TAU * f64::from(i) / f64::from(count);
+            let turn = world_from_camera(
+                DQuat::from_rotation_y(yaw)
+                    * DQuat::from_rotation_x(pitch.to_radians())
+                    * DQuat::from_rotation_z(0.1),
+            );
+            let time_s = [0.25, 0.5, 1.0][i as usize % 3];
+            let path = folder.join(format!("{pitch}_{i}.png"));
+            let picture = image::RgbImage::from_fn(LENS.0, LENS.1, |x, y| {
+                let direction = turn * lens.unproject(DVec2::new(f64::from(x), f64::from(y))).unwrap();
+                let exposure = (room.radiance(direction) * time_s).min(1.0);
+                image::Rgb([1.0, 0.8, 0.6].map(|c| {
+                    let x: f64 = c * exposure;
+                    (255.0 * if x <= 0.0031308 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 })
+                        .round() as u8
+                }))
+            });
+            picture.save(&path).unwrap();
+            let off = DVec3::from_array(std::array::from_fn(|_| random.random_range(-1.7..1.7))) * noise_rad;
+            let noisy = turn * DQuat::from_scaled_axis(off);
+            shots.push(Shot {
+                path,
+                world_from_camera: noisy,
+                sigma_rad: Some(noise_rad.max(1e-4)),
+                exposure: Some(time_s),
+            });
+            truth.push(turn);
+        }
+    }
+    (Shots { shots, lens: Some(lens) }, truth)
+}
+
+fn options(refine: bool) -> Options {
+    Options {
+        size: LatLong::new(512, 256).unwrap(),
+        lens: None,
+        field_of_view_rad: None,
+        sigma_rad: 0.035,
+        refine,
+        response: None,
+        linear: false,
+        merge: MergeOptions { feather: 2, disagreement: Some(0.1) },
+        fill: false,
+    }
+}
+
+/// Relative error of the map after one common factor: median and 99th percentile over the sphere, turned by `common`.
+fn errors(made: &Mosaic, room: &Room, common: DQuat) -> (f64, f64) {
+    let size = made.map.size;
+    let ratios: Vec<f64> = (0..size.count())
+        .filter(|i| made.map.coverage[*i] > 0)
+        .map(|i| {
+            let at = DVec2::new((i % size.width()) as f64, (i / size.width()) as f64);
+            f64::from(made.map.radiance[i][0]) / room.radiance(common * size.direction(at))
+        })
+        .collect();
+    let quantile = |mut values: Vec<f64>, part: f64| {
+        values.sort_by(f64::total_cmp);
+        values[(part * (values.len() - 1) as f64) as usize]
+    };
+    let scale = quantile(ratios.clone(), 0.5);
+    let errors: Vec<f64> = ratios.iter().map(|ratio| (ratio / scale - 1.0).abs()).collect();
+    (quantile(errors.clone(), 0.5), quantile(errors, 0.99))
+}
+
+#[test]
+fn photographs_at_their_places_give_the_room_back_with_both_poles() {
+    let folder = tempfile::tempdir().unwrap();
+    let room = Room::new(1, 400);
+    let (shots, _) = shots(folder.path(), &room, 0.0);
+    let made = mosaic(&shots, &options(false), &Silent).unwrap();
+    assert!(made.map.coverage.iter().all(|&count| count > 0), "the whole sphere is seen");
+    let (median, most) = errors(&made, &room, DQuat::IDENTITY);
+    println!("median {median:.4}, 99 % {most:.4}");
+    assert!(median < 0.01 && most < 0.05, "{median} {most}");
+    let gains: Vec<f64> =
+        made.placed.iter().zip(&shots.shots).map(|(p, shot)| p.gain[1] / shot.exposure.unwrap()).collect();
+    let mean = gains.iter().sum::<f64>() / gains.len() as f64;
+    assert!(gains.iter().all(|gain| (gain / mean - 1.0).abs() < 0.03), "{gains:?}");
+    let file = folder.path().join("map.exr");
+    made.map.write(&file).unwrap();
+    let back = EnvironmentMap::read(&file).unwrap();
+    assert_eq!(
+        (back.size, &back.radiance, &back.flags),
+        (made.map.size, &made.map.radiance, &made.map.flags)
+    );
+}
+
+#[test]
+fn orientations_two_degrees_off_come_back_and_the_loop_closes() {
+    let folder = tempfile::tempdir().unwrap();
+    let room = Room::new(2, 1500);
+    let (shots, truth) = shots(folder.path(), &room, 2f64.to_radians());
+    let made = mosaic(&shots, &options(true), &Silent).unwrap();
+    // A turn that all share cannot be seen: it is that of the mean.
+    let off = |common: DQuat| -> Vec<DVec3> {
+        made.placed
+            .iter()
+            .zip(&truth)
+            .map(|(p, t)| (*t * (common * p.world_from_camera).inverse()).to_scaled_axis())
+            .collect()
+    };
+    let mut common = DQuat::IDENTITY;
+    for _ in 0..5 {
+        let all = off(common);
+        common = DQuat::from_scaled_axis(all.iter().sum::<DVec3>() / all.len() as f64) * common;
+    }
+    let rms = (off(common).iter().map(|o| o.length_squared()).sum::<f64>() / truth.len() as f64)
+        .sqrt()
+        .to_degrees();
+    println!("RMS {rms:.3} degrees");
+    assert!(rms < 0.1, "{rms} degrees");
+}
+
+#[test]
+fn without_texture_the_orientation_given_stands_with_its_sigma() {
+    let folder = tempfile::tempdir().unwrap();
+    let sigma = 2f64.to_radians();
+    let (shots, _) = shots(folder.path(), &Room::new(3, 0), sigma);
+    let made = mosaic(&shots, &options(true), &Silent).unwrap();
+    for (placed, shot) in made.placed.iter().zip(&shots.shots) {
+        assert!(placed.world_from_camera.angle_between(shot.world_from_camera) < 1e-6);
+        assert!((placed.sigma_rad / sigma - 1.0).abs() < 1e-6 && placed.matched == 0);
+    }
+    assert!(made.notes.iter().any(|note| note.contains("no corner of")), "{:?}", made.notes);
+}
+
+#[test]
+fn what_cannot_become_a_map_is_refused_in_a_sentence() {
+    let folder = tempfile::tempdir().unwrap();
+    let (shots, _) = shots(folder.path(), &Room::new(4, 0), 0.0);
+    let refused = |shots: &Shots, options: &Options, name: &str| {
+        let message = mosaic(shots, options, &Silent).err().unwrap().to_string();
+        assert!(message.contains(name) && message.contains("; "), "{message}");
+    };
+    let few = |which: &[usize]| Shots {
+        shots: which.iter().map(|&i| shots.shots[i].clone()).collect(),
+        lens: shots.lens,
+    };
+    refused(&few(&[0]), &options(false), "at least two");
+    refused(&few(&[0, 30]), &options(false), "none of the 2 photographs");
+    refused(&Shots { lens: None, ..few(&[0, 1]) }, &options(false), "--fov");
+    refused(
+        &Shots { lens: Some(Lens::pinhole(640, 640, 500.0)), ..few(&[0, 1]) },
+        &options(false),
+        "640x640",
+    );
+    let json = folder.path().join("frames.json");
+    for (text, name) in [
+        ("{", "frames.json"),
+        (r#"{"frames": [{"file": "a.png"}]}"#, "a.png"),
+        (r#"{"frames": [{"file": "a.png", "qw": 0, "qx": 0, "qy": 0, "qz": 0}]}"#, "a.png"),
+        (r#"{"frames": []}"#, "no photograph"),
+    ] {
+        std::fs::write(&json, text).unwrap();
+        let message = Shots::read(folder.path()).unwrap_err().to_string();
+        assert!(message.contains(name), "{message}");
+    }
+}
