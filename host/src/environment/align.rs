@@ -15,6 +15,9 @@ const FEWEST: usize = 8;
 const MOST: usize = 80;
 /// Corners agree on a rotation that are so close, radians; cameras in hands do not turn about one point.
 const AGREE_RAD: f64 = 0.004;
+/// The same, pixels: a corner's place is not known better.
+const AGREE_PX: f64 = 1.5;
+
 const ROUNDS: usize = 18;
 
 /// What is known before.
@@ -101,6 +104,7 @@ fn agreeing(lens: &Lens, pairs: &[[DVec2; 2]], expected: DQuat, most_rad: f64) -
     if usable.len() < FEWEST {
         return vec![];
     }
+    let close = AGREE_RAD.max(AGREE_PX / lens.fx);
     let of = |i: usize| directions[usable[i % usable.len()]].unwrap_or_default();
     let frame = |a: DVec3, b: DVec3| {
         let normal = a.cross(b).normalize_or_zero();
@@ -125,7 +129,7 @@ fn agreeing(lens: &Lens, pairs: &[[DVec2; 2]], expected: DQuat, most_rad: f64) -
         let agree: Vec<usize> = usable
             .iter()
             .copied()
-            .filter(|&i| directions[i].is_some_and(|[a, b]| a.distance(turn * b) < AGREE_RAD))
+            .filter(|&i| directions[i].is_some_and(|[a, b]| a.distance(turn * b) < close))
             .collect();
         if agree.len() > best.len() {
             best = agree;

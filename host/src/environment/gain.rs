@@ -1,4 +1,4 @@
-//! One gain per photograph and channel, and what of the lens's shading and the response the overlaps tell.
+//! One gain per photograph and channel, and what of the lens's shading the overlaps tell.
 
 use glam::{DQuat, DVec3};
 use nalgebra::{DMatrix, DVector};
@@ -18,8 +18,8 @@ const ALIKE: f64 = 50.0;
 /// A stated exposure is thought to hold so well, relative; without any, gains are near each other in their logarithms so far.
 const STATED: f64 = 0.05;
 const UNSTATED: f64 = 3.0;
-/// Shading by r² and r⁴ (r of the half diagonal), and the bend of an assumed response: its exponent and its square.
-const SHAPE_SIGMA: [f64; 4] = [0.1, 0.1, 0.1, 0.03];
+/// Shading by r² and r⁴, r of the half diagonal.
+const SHAPE_SIGMA: f64 = 0.1;
 
 /// A photograph's exposures, averaged over blocks of pixels; `None` where one was not measured.
 pub(super) struct Blocks {
@@ -27,14 +27,14 @@ pub(super) struct Blocks {
     pub exposure: Vec<Option<[f32; 3]>>,
 }
 
-/// What turns exposures of one channel into radiance: `exp(ln x (1 + bend + bend2 ln x) + shade r² + shade2 r⁴ - gain)`.
+/// What turns exposures of one channel into radiance: `exp(ln x + shade r² + shade2 r⁴ - gain)`.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Photometry {
     /// Natural logarithms, one for each photograph.
     pub gains: Vec<f64>,
     pub sigmas: Vec<f64>,
-    /// Shading by r² and r⁴, bend and bend2.
-    pub shape: [f64; 4],
+    /// Shading by r² and r⁴.
+    pub shape: [f64; 2],
     /// Photographs whose gain no other one tells.
     pub alone: Vec<usize>,
 }
@@ -42,8 +42,8 @@ pub(super) struct Photometry {
 impl Photometry {
     /// What a pixel's exposure is worth before the gain, as its logarithm.
     pub fn ln_radiance(&self, ln_exposure: f64, r2: f64) -> f64 {
-        let [shade, shade2, bend, bend2] = self.shape;
-        ln_exposure * (1.0 + bend + bend2 * ln_exposure) + r2 * (shade + shade2 * r2)
+        let [shade, shade2] = self.shape;
+        ln_exposure + r2 * (shade + shade2 * r2)
     }
 }
 
@@ -53,13 +53,8 @@ pub(super) fn shade_r2(lens: &Lens, x: f64, y: f64) -> f64 {
     ((x - lens.cx).powi(2) + (y - lens.cy).powi(2)) / half
 }
 
-/// Solves each channel by itself; `exposures` are those stated. With `bends` the response may bend.
-pub(super) fn solve(
-    blocks: &[Blocks],
-    turns: &[DQuat],
-    stated: &[Option<f64>],
-    bends: bool,
-) -> Result<[Photometry; 3]> {
+/// Solves each channel by itself; `exposures` are those stated.
+pub(super) fn solve(blocks: &[Blocks], turns: &[DQuat], stated: &[Option<f64>]) -> Result<[Photometry; 3]> {
     for blocks in blocks {
         Border::new(&blocks.lens)?;
     }
@@ -86,7 +81,7 @@ pub(super) fn solve(
         .collect();
     let alone = alone(&looks, blocks.len());
     let solved: Vec<Photometry> =
-        (0..3).into_par_iter().map(|channel| channel_of(channel, &looks, stated, bends, &alone)).collect();
+        (0..3).into_par_iter().map(|channel| channel_of(channel, &looks, stated, &alone)).collect();
     let [r, g, b] =
         <[Photometry; 3]>::try_from(solved).unwrap_or_else(|_| unreachable!("there are three channels"));
     Ok([r, g, b])
@@ -96,11 +91,10 @@ fn channel_of(
     channel: usize,
     looks: &[Vec<(usize, f64, [f32; 3])>],
     stated: &[Option<f64>],
-    bends: bool,
     alone: &[usize],
 ) -> Photometry {
     let frames = stated.len();
-    let unknowns = frames + 4;
+    let unknowns = frames + 2;
     let known: Vec<f64> = stated.iter().flatten().map(|exposure| exposure.ln()).collect();
     let mean = known.iter().sum::<f64>() / known.len().max(1) as f64;
     let prior: Vec<(f64, f64)> = stated
@@ -110,7 +104,7 @@ fn channel_of(
     let mut found = Photometry {
         gains: prior.iter().map(|(gain, _)| *gain).collect(),
         sigmas: vec![0.0; frames],
-        shape: [0.0; 4],
+        shape: [0.0; 2],
         alone: alone.to_vec(),
     };
     let mut scale = 0.5;
@@ -123,14 +117,7 @@ fn channel_of(
                 found.ln_radiance(x_i, r2_i) - found.gains[i] - found.ln_radiance(x_j, r2_j) + found.gains[j];
             distances.push(difference.abs());
             let weight = share / (scale * scale + difference * difference);
-            let row = [
-                (i, -1.0),
-                (j, 1.0),
-                (frames, r2_i - r2_j),
-                (frames + 1, r2_i * r2_i - r2_j * r2_j),
-                (frames + 2, x_i - x_j),
-                (frames + 3, x_i * x_i - x_j * x_j),
-            ];
+            let row = [(i, -1.0), (j, 1.0), (frames, r2_i - r2_j), (frames + 1, r2_i * r2_i - r2_j * r2_j)];
             for (a, by_a) in row {
                 for (b, by_b) in row {
                     normal[(a, b)] += weight * by_a * by_b;
@@ -150,15 +137,15 @@ fn channel_of(
             normal[(i, i)] += sigma.powi(-2);
             right[i] -= (found.gains[i] - gain) / (sigma * sigma);
         }
-        for k in 0..4 {
-            let sigma = if k < 2 || bends { SHAPE_SIGMA[k] } else { 1e-6 };
+        for k in 0..2 {
+            let sigma = SHAPE_SIGMA;
             normal[(frames + k, frames + k)] += sigma.powi(-2);
             right[frames + k] -= found.shape[k] / (sigma * sigma);
         }
         let Some(cholesky) = normal.cholesky() else { break };
         let step = cholesky.solve(&right);
         found.gains.iter_mut().enumerate().for_each(|(i, gain)| *gain += step[i]);
-        (0..4).for_each(|k| found.shape[k] += step[frames + k]);
+        (0..2).for_each(|k| found.shape[k] += step[frames + k]);
         distances.sort_by(f64::total_cmp);
         scale = (1.5 * distances.get(distances.len() / 2).copied().unwrap_or(scale)).clamp(0.01, 0.5);
         if round + 1 == ROUNDS {

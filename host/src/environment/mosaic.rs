@@ -174,7 +174,7 @@ pub fn mosaic(shots: &Shots, options: &Options, progress: &dyn Progress) -> Resu
     let blocks: Vec<Blocks> =
         pictures.par_iter().map(|picture| blocks(picture, &lens, &response, &noise)).collect();
     let stated: Vec<Option<f64>> = all.iter().map(|shot| shot.exposure).collect();
-    let photometry = solve(&blocks, &aligned.turns, &stated, response.is_assumed())?;
+    let photometry = solve(&blocks, &aligned.turns, &stated)?;
     let alone = &photometry[1].alone;
     if alone.len() + 1 >= all.len() {
         return Err(Error::request(
@@ -301,7 +301,6 @@ fn plate(
             if exposure <= 0.0 {
                 return 0.0;
             }
-            // More exposure is more radiance, however the response was bent.
             most = most.max((p.ln_radiance(exposure.ln(), 0.0) - p.gains[number]).exp() as f32);
             most
         };

@@ -32,7 +32,7 @@ pub enum Filter {
 }
 
 /// Sines and cosines of a map's longitudes, which all rows share. Towards the poles, where a map's columns crowd, only
-/// every second, fourth, ... is looked at, so that those left are still closer than at the equator by a quarter; those between follow from them.
+/// every second, fourth, ... is looked at, so that those left are still closer than at the equator by two thirds; those between follow from them.
 pub struct Sphere {
     pub(super) size: LatLong,
     levels: Vec<[Vec<f32>; 2]>,
@@ -55,7 +55,7 @@ impl Sphere {
     pub(super) fn level(&self, rows: &Range<usize>) -> usize {
         let widest = |row: usize| self.size.latitude(row as f64).cos();
         let widest = widest(rows.start).max(widest(rows.end - 1));
-        ((0.8 / widest).log2().max(0.0) as usize).min(self.levels.len() - 1)
+        ((0.6 / widest).log2().max(0.0) as usize).min(self.levels.len() - 1)
     }
 
     /// How many columns are left at a level.
