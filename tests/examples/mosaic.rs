@@ -83,9 +83,8 @@ fn measure(
         merged.radiance.iter().zip(&merged.coverage).enumerate().filter(|(_, (_, n))| **n > 0)
     {
         let (x, y) = (i % size.width(), i / size.width());
-        for c in 0..3 {
-            let expected = at(truth, scale, x, y, c);
-            sum += (f64::from(pixel[c]) - expected).powi(2);
+        for (c, value) in pixel.iter().enumerate() {
+            sum += (f64::from(*value) - at(truth, scale, x, y, c)).powi(2);
         }
         count += 1;
     }
