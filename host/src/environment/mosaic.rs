@@ -30,7 +30,7 @@ pub struct Options {
     pub sigma_rad: f64,
     /// Whether the photographs refine orientations and focal length.
     pub refine: bool,
-    /// What levels are worth: a table, or sRGB (`None`).
+    /// What levels are worth: a table; `None` for sRGB, which stated exposures that differ by a factor of two then mend.
     pub response: Option<PathBuf>,
     /// Levels are proportional to exposure.
     pub linear: bool,
@@ -174,7 +174,9 @@ pub fn mosaic(shots: &Shots, options: &Options, progress: &dyn Progress) -> Resu
     let blocks: Vec<Blocks> =
         pictures.par_iter().map(|picture| blocks(picture, &lens, &response, &noise)).collect();
     let stated: Vec<Option<f64>> = all.iter().map(|shot| shot.exposure).collect();
-    let photometry = solve(&blocks, &aligned.turns, &stated)?;
+    let white = f64::from(response.exposure(1)[usize::from(response.white())]);
+    let photometry =
+        solve(&blocks, &aligned.turns, &stated, (white, response.is_assumed() && !options.linear))?;
     let alone = &photometry[1].alone;
     if alone.len() + 1 >= all.len() {
         return Err(Error::request(
