@@ -70,7 +70,7 @@ struct Room {
     /// The mean about which photographs are judged.
     means: Vec<[f32; 4]>,
     runs: Vec<Run>,
-    /// Every run's pixels: radiance and weight, variance and validity.
+    /// Every run's pixels: weight times radiance and weight, variance and validity.
     store: Vec<[f32; 4]>,
     doubt: Vec<[f32; 2]>,
 }
@@ -174,7 +174,7 @@ impl Room {
                 for first in (from..to).step_by(CHUNK) {
                     let count = CHUNK.min(to - first);
                     look(plate, sphere, (row, level, first..first + count), &mut places, &mut seen);
-                    weigh(&mut seen, &mut doubt, &mut places.feather, plate.noise, options.feather);
+                    weigh(&mut seen, &mut doubt, &places.feather, plate.noise, options.feather);
                     let at = (row - rows.start) * TILE.1 + first - columns.start;
                     let all = at..at + count;
                     add(
@@ -234,19 +234,15 @@ impl Room {
     fn write(&self, rows: &Range<usize>, columns: &Range<usize>, width: usize, band: &mut Band) {
         let (((radiance, variance), coverage), measured) = band;
         for row in 0..rows.len() {
-            for (i, column) in columns.clone().enumerate() {
-                let (from, to) = (row * TILE.1 + i, row * width + column);
-                let sum = self.sums[from];
-                coverage[to] = self.count[from];
-                if sum[3] > 0.0 {
-                    let inverse = 1.0 / sum[3];
-                    radiance[to] = [sum[0] * inverse, sum[1] * inverse, sum[2] * inverse];
-                    variance[to] = self.spread[from] * inverse * inverse;
-                    measured[to] = self.valid[from] * inverse;
-                } else {
-                    variance[to] = f32::INFINITY;
-                }
-            }
+            let from = row * TILE.1..row * TILE.1 + columns.len();
+            let to = row * width + columns.start..row * width + columns.end;
+            coverage[to.clone()].copy_from_slice(&self.count[from.clone()]);
+            finish(
+                &self.sums[from.clone()],
+                (&self.spread[from.clone()], &self.valid[from]),
+                &mut radiance[to.clone()],
+                (&mut variance[to.clone()], &mut measured[to]),
+            );
         }
     }
 }
@@ -287,43 +283,63 @@ fn widen(row: Range<usize>, level: usize, (((radiance, variance), coverage), mea
     }
 }
 
-/// Turns what a plate shows into radiance and weight, and says its variance and validity.
+/// Turns what a plate shows into weight times radiance and weight, and says its variance and validity.
 #[multiversion(targets("x86_64+avx2+fma"))]
 fn weigh(
     seen: &mut [[f32; 4]; CHUNK],
     doubt: &mut [[f32; 2]; CHUNK],
-    feather: &mut [f32; CHUNK],
+    feather: &[f32; CHUNK],
     noise: Noise,
     power: u32,
 ) {
-    let mut soft = [0f32; CHUNK];
-    for (soft, &mut feather) in soft.iter_mut().zip(feather.iter_mut()) {
-        *soft = if feather > 0.0 { 1.0 } else { 0.0 };
-    }
+    let mut soft = feather.map(|feather| if feather > 0.0 { 1.0 } else { 0.0 });
     for _ in 0..power {
-        for (soft, &mut feather) in soft.iter_mut().zip(feather.iter_mut()) {
-            *soft *= feather;
-        }
+        soft.iter_mut().zip(feather).for_each(|(soft, feather)| *soft *= feather);
     }
-    for ((seen, doubt), soft) in seen.iter_mut().zip(doubt).zip(&soft) {
-        let valid = seen[3].max(1e-12);
-        let inverse = 1.0 / valid;
-        let [r, g, b] = [seen[0] * inverse, seen[1] * inverse, seen[2] * inverse];
-        let variance = noise.variance((r + g + b) * (1.0 / 3.0));
-        *doubt = [variance, valid.min(1.0)];
-        *seen = [r, g, b, soft * valid / variance];
+    // Scalars of all pixels first, many at a time.
+    for ((soft, seen), doubt) in soft.iter_mut().zip(seen.iter()).zip(doubt) {
+        let [r, g, b, valid] = *seen;
+        // A filter may go below 0 beside what was not measured.
+        let known = valid > 1e-20;
+        let variance = if known { noise.variance((r + g + b) / (3.0 * valid)) } else { 1.0 };
+        *soft = if known { *soft / variance } else { 0.0 };
+        *doubt = [variance, valid.clamp(0.0, 1.0)];
+    }
+    for (seen, factor) in seen.iter_mut().zip(&soft) {
+        seen.iter_mut().for_each(|value| *value *= factor);
     }
 }
 
 #[multiversion(targets("x86_64+avx2+fma"))]
 fn add(seen: &[[f32; 4]], doubt: &[[f32; 2]], sums: &mut [[f32; 4]], spread: &mut [f32], valid: &mut [f32]) {
-    for (sum, &[r, g, b, weight]) in sums.iter_mut().zip(seen) {
-        let add = [r * weight, g * weight, b * weight, weight];
-        (0..4).for_each(|c| sum[c] += add[c]);
+    for (sum, seen) in sums.iter_mut().zip(seen) {
+        (0..4).for_each(|c| sum[c] += seen[c]);
     }
     for ((spread, valid), (seen, doubt)) in spread.iter_mut().zip(valid).zip(seen.iter().zip(doubt)) {
         *spread += seen[3] * seen[3] * doubt[0];
         *valid += seen[3] * doubt[1];
+    }
+}
+
+/// A row's means from its sums; the variance is infinite where nothing was seen.
+#[multiversion(targets("x86_64+avx2+fma"))]
+fn finish(
+    sums: &[[f32; 4]],
+    (spread, valid): (&[f32], &[f32]),
+    radiance: &mut [[f32; 3]],
+    (variance, measured): (&mut [f32], &mut [f32]),
+) {
+    for (radiance, sum) in radiance.iter_mut().zip(sums) {
+        let inverse = if sum[3] > 0.0 { 1.0 / sum[3] } else { 0.0 };
+        *radiance = [sum[0] * inverse, sum[1] * inverse, sum[2] * inverse];
+    }
+    let outputs = variance.iter_mut().zip(measured);
+    for ((variance, measured), (sum, (spread, valid))) in
+        outputs.zip(sums.iter().zip(spread.iter().zip(valid)))
+    {
+        let inverse = 1.0 / sum[3].max(f32::MIN_POSITIVE);
+        *variance = if sum[3] > 0.0 { spread * inverse * inverse } else { f32::INFINITY };
+        *measured = valid * inverse;
     }
 }
 
@@ -338,11 +354,12 @@ fn judge(
     for ((again, (said, doubt)), (mean, &count)) in
         again.iter_mut().zip(store.iter().zip(doubt)).zip(means.iter().zip(count))
     {
-        let away = [said[0] - mean[0], said[1] - mean[1], said[2] - mean[2]];
+        let inverse = 1.0 / said[3].max(f32::MIN_POSITIVE);
+        let away = [said[0] * inverse - mean[0], said[1] * inverse - mean[1], said[2] * inverse - mean[2]];
         let square = (away[0] * away[0] + away[1] * away[1] + away[2] * away[2]) * (1.0 / 3.0);
         // Three standard deviations are still nothing special.
         let ratio = strictness * square / (9.0 * (doubt[0] + mean[3])).max(f32::MIN_POSITIVE);
         let trust = if count < 3 { 1.0 } else { 1.0 / ((1.0 + ratio) * (1.0 + ratio)) };
-        *again = [said[0], said[1], said[2], said[3] * trust];
+        *again = said.map(|value| value * trust);
     }
 }

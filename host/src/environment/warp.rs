@@ -302,6 +302,16 @@ fn sample(filter: Filter, pixels: &[[f32; 4]], stride: usize, places: &Places, s
     }
 }
 
+/// The pixel at or before a place that is not negative (for a whole number perhaps the one before it), as integer and as float: unlike a
+/// cast, which looks for numbers that are none, many at a time.
+#[inline(always)]
+fn floor(at: f32) -> (i32, f32) {
+    // Floats from here on are whole, and their last bits count them.
+    const WHOLE: f32 = 8_388_608.0;
+    let above = (at + 0.5) + WHOLE;
+    (above.to_bits() as i32 - WHOLE.to_bits() as i32 - 1, above - WHOLE - 1.0)
+}
+
 #[inline(always)]
 fn gather<const TAPS: usize>(
     pixels: &[[f32; 4]],
@@ -322,27 +332,26 @@ fn gather<const TAPS: usize>(
     let (stride_i, skipped) = (stride as i32, (BORDER - before) as i32);
     for i in 0..CHUNK {
         let (x, y) = (places.x[i] + offset, places.y[i] + offset);
-        let (column, line) = (x as i32, y as i32);
+        let ((column, left), (line, top)) = (floor(x), floor(y));
         first[i] = (line + skipped) * stride_i + column + skipped;
-        let (wx, wy) = (weights(x - column as f32), weights(y - line as f32));
+        let (wx, wy) = (weights(x - left), weights(y - top));
         for k in 0..TAPS {
             (across[k][i], down[k][i]) = (wx[k], wy[k]);
         }
     }
     for (i, target) in seen.iter_mut().enumerate().take(CHUNK) {
         let first = first[i] as usize;
-        let mut sum = [0f32; 4];
-        let wx: [f32; TAPS] = std::array::from_fn(|k| across[k][i]);
+        let Some(lines) = pixels.get(first..first + (TAPS - 1) * stride + TAPS) else { continue };
+        // Down first: the columns' sums do not wait for each other.
+        let mut columns = [[0f32; 4]; TAPS];
         for (j, down) in down.iter().enumerate() {
-            let Some(line) = pixels.get(first + j * stride..).and_then(|line| line.first_chunk::<TAPS>())
-            else {
-                continue;
-            };
-            let mut along = [0f32; 4];
-            for (pixel, wx) in line.iter().zip(&wx) {
-                (0..4).for_each(|c| along[c] = wx.mul_add(pixel[c], along[c]));
+            for (column, pixel) in columns.iter_mut().zip(&lines[j * stride..j * stride + TAPS]) {
+                (0..4).for_each(|c| column[c] = down[i].mul_add(pixel[c], column[c]));
             }
-            (0..4).for_each(|c| sum[c] = down[i].mul_add(along[c], sum[c]));
+        }
+        let mut sum = [0f32; 4];
+        for (across, column) in across.iter().zip(&columns) {
+            (0..4).for_each(|c| sum[c] = across[i].mul_add(column[c], sum[c]));
         }
         *target = sum;
     }
