@@ -85,7 +85,7 @@ pub struct Mosaic {
     /// Take the orientations as they are
     #[arg(long)]
     pub no_refine: bool,
-    /// What the photographs' levels are worth: srgb, linear, or a response.csv
+    /// What the photographs' levels are worth: srgb (mended by the exposures if they are stated), linear, or a response.csv
     #[arg(long, default_value = "srgb")]
     pub response: String,
     /// Fill what was never seen from what is around
