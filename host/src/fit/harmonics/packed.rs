@@ -1,4 +1,5 @@
 //! Observations of eight texels laid side by side, weighed, and the directions that they take for theirs.
+#![expect(clippy::needless_range_loop, reason = "indices name lanes and channels")]
 
 use glam::DVec3;
 use multiversion::multiversion;

@@ -4,7 +4,6 @@
 //! equations. Neighbours' systems are alike: the inverse of the tile's mean system is the preconditioner of a conjugate
 //! gradient search in each texel's own system, which ends when what is left is small against the noise of the fit. A
 //! tile of equal texels takes one step, and what the sharing costs is known for each texel instead of hoped for.
-#![expect(clippy::needless_range_loop, reason = "indices name lanes and channels")]
 
 use std::sync::Arc;
 
