@@ -206,7 +206,7 @@ fn a_camera_whose_curve_is_not_srgb_leaves_no_steps_where_exposures_are_stated()
 /// The orientations that the data set gives come from a panorama that does not close: it repeats 3.6 degrees of the square where its left
 /// and right edges meet (the photograph there is at 179.87 degrees by the one edge, at -176.57 by the other), so its focal length, 710.6
 /// pixels, is 1 % too short. `durlach.csv` holds another adjustment of all photographs at once that closes, from SIFT features matched by
-/// OpenCV, 717 pixels.
+/// OpenCV, 717 pixels; it was started from what Rigel had found, and shares its photographs.
 #[test]
 fn a_real_tour_closes_although_the_orientations_given_do_not() {
     let Some(folder) = rigel_tests::data("panorama/durlach_hugin") else { return };
