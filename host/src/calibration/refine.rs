@@ -74,7 +74,15 @@ pub(super) fn refine(
             );
         }
     } else if !is_better(&trial, still_dropped.iter().zip(dropped.iter()).any(|(now, then)| now != then)) {
-        return Ok(Refined { adjusted: before, notes: vec![] });
+        let lost: Vec<String> = (0..dropped.len())
+            .filter(|view| dropped[*view].is_some() && still_dropped[*view].is_none())
+            .map(name)
+            .collect();
+        let why = format!(
+            "the texture would place {}, but does not foretell the other views' squares better than squares alone: left out",
+            lost.join(", ")
+        );
+        return Ok(Refined { adjusted: before, notes: if lost.is_empty() { vec![] } else { vec![why] } });
     }
     let notes = if has_squares { vec![] } else { left_alone(&trial.unplaced, name) };
     match settle(&trial.frame, &with, &mut still_dropped, Some(trial.state)) {

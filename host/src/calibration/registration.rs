@@ -178,12 +178,18 @@ impl Registration {
             return Ok(None);
         }
         let text = std::fs::read_to_string(&path).map_err(Error::io("read", &path))?;
-        let registration: Self = toml::from_str(&text)
+        // Before anything else: another version may have other entries.
+        let table: toml::Table = toml::from_str(&text)
             .map_err(|error| Error::input(&path, format!("is damaged ({})", error.message()), AGAIN))?;
-        if registration.format != Self::FORMAT {
-            let what = format!("has format {}, this reads format {}", registration.format, Self::FORMAT);
+        if let Some(format) =
+            table.get("format").filter(|format| format.as_integer() != Some(Self::FORMAT.into()))
+        {
+            let what = format!("has format {format}, this reads format {}", Self::FORMAT);
             return Err(Error::input(&path, what, AGAIN));
         }
+        let registration: Self = table.try_into().map_err(|error: toml::de::Error| {
+            Error::input(&path, format!("is damaged ({})", error.message()), AGAIN)
+        })?;
         if registration.made_from != made_from(session)? {
             return Err(Error::input(&path, "was made from other radiance or angles", AGAIN));
         }

@@ -103,23 +103,43 @@ impl Shots {
             json(&text).map_err(|what| Error::input(&file, format!("cannot be used ({what})"), REMEDY))?
         };
         let folder = file.parent().unwrap_or(Path::new(""));
+        let frames: Vec<Frame> = frames;
+        let exposed = || frames.iter().filter(|frame| frame.exposure_s.is_some());
+        // What only some of them say would be guessed of the others.
+        let all_say = (exposed().all(|f| f.iso.is_some()), exposed().all(|f| f.f_number.is_some()));
+        let mut files: Vec<&PathBuf> = frames.iter().map(|frame| &frame.file).collect();
+        files.sort_unstable();
+        if let Some(pair) = files.windows(2).find(|pair| pair[0] == pair[1]) {
+            let what = format!("lists {} twice", pair[0].display());
+            return Err(Error::input(&file, what, "list each photograph once"));
+        }
         let shots = frames
-            .into_iter()
-            .map(|frame: Frame| {
+            .iter()
+            .map(|frame| {
                 let name = frame.file.display().to_string();
                 let turn = frame.orientation().ok_or_else(|| {
                     Error::input(&file, format!("has no usable orientation of {name}"), REMEDY)
                 })?;
-                let usable =
-                    |number: Option<f64>| number.filter(|number| number.is_finite() && *number > 0.0);
-                let exposure = usable(frame.exposure_s).map(|time_s| {
-                    time_s * usable(frame.iso).unwrap_or(100.0)
-                        / usable(frame.f_number).unwrap_or(1.0).powi(2)
+                let stated = [
+                    ("exposure_s", frame.exposure_s),
+                    ("iso", frame.iso),
+                    ("f_number", frame.f_number),
+                    ("sigma_deg", frame.sigma_deg),
+                ];
+                if let Some((word, number)) =
+                    stated.iter().find(|(_, n)| n.is_some_and(|n| !(n.is_finite() && n > 0.0)))
+                {
+                    let what = format!("has for {name} {word} = {}", number.unwrap_or_default());
+                    return Err(Error::input(&file, what, "give a positive number, or leave it out"));
+                }
+                let exposure = frame.exposure_s.map(|time_s| {
+                    let iso = frame.iso.filter(|_| all_say.0).unwrap_or(1.0);
+                    time_s * iso / frame.f_number.filter(|_| all_say.1).unwrap_or(1.0).powi(2)
                 });
                 Ok(Shot {
                     path: folder.join(&frame.file),
                     world_from_camera: turn,
-                    sigma_rad: usable(frame.sigma_deg).map(f64::to_radians),
+                    sigma_rad: frame.sigma_deg.map(f64::to_radians),
                     exposure,
                 })
             })
@@ -143,7 +163,7 @@ fn json(text: &str) -> std::result::Result<(Vec<Frame>, Option<Lens>), String> {
     let (width, height) = size.ok_or_else(|| format!("{name} does not say the picture's size"))?;
     let numbers: Intrinsics = serde_json::from_value(numbers.clone()).map_err(|error| error.to_string())?;
     let Intrinsics { f, cx, cy, k1, k2 } = numbers;
-    if ![f, cx, cy, k1, k2].iter().all(|number| number.is_finite()) || f <= 0.0 {
+    if ![f, cx, cy, k1, k2].iter().all(|number| number.is_finite()) || f <= 0.0 || width == 0 || height == 0 {
         return Err(format!("{name} holds what is no lens"));
     }
     Ok((frames, Some(Lens { cx, cy, k1, k2, ..Lens::pinhole(width, height, f) })))

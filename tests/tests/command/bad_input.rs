@@ -11,6 +11,8 @@ mod import;
 mod maps;
 #[path = "bad_input/outputs.rs"]
 mod outputs;
+#[path = "bad_input/room.rs"]
+mod room;
 #[path = "bad_input/session.rs"]
 mod session;
 #[path = "bad_input/words.rs"]

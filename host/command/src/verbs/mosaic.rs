@@ -1,10 +1,12 @@
 //! From photographs with orientations to a map of the room: `mosaic`.
 
-use rigel::Result;
-use rigel::environment::{EnvironmentMap, MergeOptions, Options, Shots, mosaic as make};
+use std::path::Path;
+
+use rigel::environment::{EnvironmentMap, MergeOptions, Options, Shot, Shots, mosaic as make};
 use rigel::geometry::LatLong;
 use rigel::picture::Picture;
 use rigel::view_file::Calibration;
+use rigel::{Error, Result};
 
 use crate::arguments::Mosaic;
 use crate::progress::Bar;
@@ -20,7 +22,20 @@ pub fn mosaic(arguments: &Mosaic) -> Result<()> {
     require_extension(&arguments.out, "exr")?;
     require_place(&arguments.out, arguments.force)?;
     let size = LatLong::new(arguments.size.columns, arguments.size.rows)?;
+    let picture = arguments.png.then(|| arguments.out.with_extension("png"));
+    if let Some(picture) = &picture {
+        require_place(picture, arguments.force)?;
+    }
+    if !(arguments.sigma_deg.is_finite() && arguments.sigma_deg > 0.0) {
+        return Err(Error::request(
+            format!("--sigma {} is no standard deviation", arguments.sigma_deg),
+            "give degrees above 0, or --no-refine for orientations that are right",
+        ));
+    }
     let shots = Shots::read(&arguments.shots)?;
+    for place in [Some(&arguments.out), picture.as_ref()].into_iter().flatten() {
+        require_no_photograph(place, &shots)?;
+    }
     let lens = match &arguments.lens {
         None => None,
         Some(path) => {
@@ -55,8 +70,8 @@ pub fn mosaic(arguments: &Mosaic) -> Result<()> {
         say!("note: {note}");
     }
     made.map.write(&arguments.out)?;
-    if arguments.png {
-        made.map.write_png(&arguments.out.with_extension("png"), LOOK)?;
+    if let Some(picture) = &picture {
+        made.map.write_png(picture, LOOK)?;
     }
     let part = |flag: u8| {
         let rows = 0..size.height();
@@ -66,17 +81,30 @@ pub fn mosaic(arguments: &Mosaic) -> Result<()> {
         });
         100.0 * angle.sum::<f64>() / (4.0 * std::f64::consts::PI)
     };
+    let apart = match made.placed.iter().any(|placed| placed.matched > 0) {
+        true => format!("matched corners {:.3} degrees apart", made.residual_rad.to_degrees()),
+        false => "no corners compared".into(),
+    };
     say!(
-        "wrote {}: {}x{}, {} photographs, focal length {:.1} px, matched corners {:.3} degrees apart; of the sphere {:.1} % were never seen{}, {:.2} % are lower bounds",
+        "wrote {}: {}x{}, {} photographs, focal length {:.1} px, {apart}; of the sphere {:.1} % were never seen{}, {:.2} % are lower bounds",
         arguments.out.display(),
         size.width(),
         size.height(),
         made.placed.len(),
         made.lens.fx,
-        made.residual_rad.to_degrees(),
         part(EnvironmentMap::UNSEEN | EnvironmentMap::FILLED),
         if arguments.fill { " and filled" } else { "" },
         part(EnvironmentMap::LOWER_BOUND)
     );
     Ok(())
+}
+
+/// Originals are never written over, `--force` or not.
+fn require_no_photograph(place: &Path, shots: &Shots) -> Result<()> {
+    let own = place.canonicalize().ok();
+    let is_own = |shot: &Shot| own.is_some() && shot.path.canonicalize().ok() == own;
+    match shots.shots.iter().any(is_own) {
+        true => Err(Error::input(place, "is one of the photographs", "choose another name")),
+        false => Ok(()),
+    }
 }

@@ -150,5 +150,11 @@ fn a_lens_for_pictures_of_another_size_is_refused_without_squares() {
             arguments: EVALUATE,
             names: &["view001.exr", "80x60", "160x60", "register again"],
         },
+        Case {
+            // Another version's, which has no such entries.
+            spoil: |folder| fs::write(folder.join("session/registration.toml"), "format = 1\n").unwrap(),
+            arguments: EVALUATE,
+            names: &["registration.toml", "has format 1", "rigel register"],
+        },
     ]);
 }

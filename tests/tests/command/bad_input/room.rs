@@ -1,0 +1,55 @@
+//! Photographs for a map of the room, with their orientations.
+
+use super::*;
+
+const TURNED: &str = "file,qw,qx,qy,qz,exposure_s\na.png,1,0,0,0,0.1\nb.png,1,0,0,0,0.1\n";
+const MOSAIC: &[&str] = &["mosaic", "frames.csv", "--out", "map.exr"];
+
+#[test]
+fn orientations_and_places_that_cannot_be_used() {
+    hold(&[
+        Case {
+            spoil: nothing,
+            arguments: &["mosaic", "photos", "--out", "map.exr"],
+            names: &["frames.json"],
+        },
+        Case {
+            spoil: |folder| fs::write(folder.join("frames.csv"), TURNED.replace("b.png", "a.png")).unwrap(),
+            arguments: MOSAIC,
+            names: &["frames.csv", "a.png", "twice"],
+        },
+        Case {
+            spoil: |folder| fs::write(folder.join("frames.csv"), TURNED.replace("0.1\nb", "-3\nb")).unwrap(),
+            arguments: MOSAIC,
+            names: &["frames.csv", "a.png", "exposure_s = -3"],
+        },
+        Case {
+            spoil: |folder| {
+                fs::write(folder.join("frames.csv"), TURNED.replace("b.png,1", "b.png,nan")).unwrap()
+            },
+            arguments: MOSAIC,
+            names: &["frames.csv", "b.png", "orientation"],
+        },
+        Case {
+            spoil: |folder| fs::write(folder.join("frames.csv"), TURNED).unwrap(),
+            arguments: &["mosaic", "frames.csv", "--out", "map.exr", "--sigma", "0"],
+            names: &["--sigma 0", "--no-refine"],
+        },
+        Case {
+            spoil: |folder| {
+                fs::write(folder.join("frames.csv"), TURNED).unwrap();
+                fs::write(folder.join("map.png"), "somebody's").unwrap();
+            },
+            arguments: &["mosaic", "frames.csv", "--out", "map.exr", "--png"],
+            names: &["map.png", "is there already"],
+        },
+        Case {
+            spoil: |folder| {
+                fs::write(folder.join("frames.csv"), TURNED).unwrap();
+                fs::write(folder.join("a.png"), "a photograph").unwrap();
+            },
+            arguments: &["mosaic", "frames.csv", "--out", "a.exr", "--png", "--force"],
+            names: &["a.png", "is one of the photographs"],
+        },
+    ]);
+}
