@@ -8,6 +8,7 @@ mod align;
 mod features;
 mod fill;
 mod gain;
+mod lights;
 mod map;
 mod merge;
 mod mosaic;
@@ -16,6 +17,7 @@ mod reduce;
 mod shots;
 mod warp;
 
+pub use lights::{Light, Lights, Method, lights};
 pub use map::{EnvironmentMap, Flag};
 pub use merge::{Merged, Options as MergeOptions, merge};
 pub use mosaic::{Mosaic, Options, Placed, mosaic};

@@ -52,6 +52,8 @@ pub enum Verb {
     Evaluate(Evaluate),
     /// Put photographs taken on the spot on a sphere: an OpenEXR map of the radiance from every direction
     Mosaic(Mosaic),
+    /// The few lights that stand for a map of the room: a table
+    Lights(Lights),
     /// Measure speed against accuracy on simulated devices, and what happens where a method breaks: charts and raw figures
     Chart(Chart),
 }
@@ -97,6 +99,33 @@ pub struct Mosaic {
     /// Replace the map that is there
     #[arg(long)]
     pub force: bool,
+}
+
+#[derive(Args)]
+pub struct Lights {
+    /// A latitude-longitude map: rigel mosaic's, or any OpenEXR or Radiance HDR picture twice as wide as high
+    pub map: PathBuf,
+    /// The table of lights [default: the map's name with -lights.csv]
+    #[arg(long)]
+    pub out: Option<PathBuf>,
+    /// How far the irradiance may be off, open and behind walls (root mean square, a part of it)
+    #[arg(long, default_value = "5%", value_parser = parse_part)]
+    pub tolerance: f64,
+    /// No more lights than these
+    #[arg(long, default_value_t = 64, value_parser = clap::value_parser!(u16).range(1..=512))]
+    pub most: u16,
+    /// How they are found: joined (above the median radiance, the rest even), or median-cut (Debevec's, for comparison)
+    #[arg(long, value_enum, default_value = "joined")]
+    pub method: LightMethod,
+    /// Replace the table that is there
+    #[arg(long)]
+    pub force: bool,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum LightMethod {
+    Joined,
+    MedianCut,
 }
 
 #[derive(Args)]

@@ -34,6 +34,7 @@ fn main() -> ExitCode {
         Verb::Render(arguments) => verbs::render(&arguments),
         Verb::Evaluate(arguments) => verbs::evaluate(&arguments),
         Verb::Mosaic(arguments) => verbs::mosaic(&arguments),
+        Verb::Lights(arguments) => verbs::lights(&arguments),
         Verb::Chart(arguments) => verbs::chart(&arguments),
     };
     match outcome {

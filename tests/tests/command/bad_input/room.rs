@@ -10,6 +10,17 @@ fn orientations_and_places_that_cannot_be_used() {
     hold(&[
         Case {
             spoil: nothing,
+            arguments: &["lights", "session/radiance/view001.exr"],
+            names: &["view001.exr", "twice as wide"],
+        },
+        Case { spoil: nothing, arguments: &["lights", "map.exr"], names: &["map.exr"] },
+        Case {
+            spoil: nothing,
+            arguments: &["lights", "map.exr", "--out", "map.exr"],
+            names: &["map.exr", ".csv"],
+        },
+        Case {
+            spoil: nothing,
             arguments: &["mosaic", "photos", "--out", "map.exr"],
             names: &["frames.json"],
         },
