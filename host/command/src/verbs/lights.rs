@@ -35,7 +35,7 @@ pub fn lights(arguments: &Lights) -> Result<()> {
     }
     if found.error > arguments.tolerance {
         say!(
-            "warning: {} leave the irradiance {:.1} % off, more than the {:.1} % asked for; allow more (--most)",
+            "warning: {} leave the irradiance {:.1} % off, more than the {:.1} % asked for; allow more (--most), or try --method median-cut",
             count_of(found.lights.len(), "light"),
             100.0 * found.error,
             100.0 * arguments.tolerance
