@@ -32,7 +32,7 @@ const BRACKET_S: [f64; 2] = [1.0 / 30.0, 1.0 / 60.0];
 const STEPS_PER_TURN: f64 = 16_000.0;
 /// A rig that hears a record so much later than its neighbours, seconds, may not believe it; QEMU hands bytes over in time
 /// unless its machine gives it no time to run.
-const STARVED_S: f64 = 0.05;
+const STARVED_S: f64 = 0.025;
 /// Where more than one record in so many was refused, for being late, what remains shows nothing; records that were heard late
 /// and believed all the same, a busy machine's, are no fault of the image.
 const MOST_REFUSED: usize = 10;
