@@ -146,14 +146,16 @@ fn errors(made: &Mosaic, room: &Room, common: DQuat) -> (f64, f64) {
 fn photographs_at_their_places_give_the_room_back_with_both_poles() {
     let folder = tempfile::tempdir().unwrap();
     let room = Room { seed: 1, spacings: &[0.4] };
-    let (shots, _) = shots(folder.path(), &room, 0.0);
+    let (mut shots, _) = shots(folder.path(), &room, 0.0);
+    // Every other photograph's exposure must come from what it shares with others.
+    let times_s: Vec<f64> = shots.shots.iter().map(|shot| shot.exposure.unwrap()).collect();
+    shots.shots.iter_mut().step_by(2).for_each(|shot| shot.exposure = None);
     let made = mosaic(&shots, &options(false), &Silent).unwrap();
     assert!(made.map.coverage.iter().all(|&count| count > 0), "the whole sphere is seen");
     let (median, most) = errors(&made, &room, DQuat::IDENTITY);
     println!("median {median:.4}, 99 % {most:.4}");
     assert!(median < 0.01 && most < 0.05, "{median} {most}");
-    let gains: Vec<f64> =
-        made.placed.iter().zip(&shots.shots).map(|(p, shot)| p.gain[1] / shot.exposure.unwrap()).collect();
+    let gains: Vec<f64> = made.placed.iter().zip(&times_s).map(|(p, time_s)| p.gain[1] / time_s).collect();
     let mean = gains.iter().sum::<f64>() / gains.len() as f64;
     assert!(gains.iter().all(|gain| (gain / mean - 1.0).abs() < 0.03), "{gains:?}");
     let file = folder.path().join("map.exr");
@@ -175,6 +177,35 @@ fn orientations_two_degrees_off_come_back_and_the_loop_closes() {
     let rms = (off.iter().map(|off| off * off).sum::<f64>() / off.len() as f64).sqrt().to_degrees();
     println!("RMS {rms:.3} degrees");
     assert!(rms < 0.1, "{rms} degrees");
+}
+
+#[test]
+fn a_field_of_view_four_percent_off_is_mended_with_the_orientations() {
+    let folder = tempfile::tempdir().unwrap();
+    let room = Room { seed: 2, spacings: &[0.3, 0.1, 0.04] };
+    let (mut shots, truth) = shots(folder.path(), &room, 1f64.to_radians());
+    shots.lens = None;
+    let angle = 2.0 * (f64::from(LENS.0) / 2.0 / (0.96 * LENS.2)).atan();
+    let made = mosaic(&shots, &Options { field_of_view_rad: Some(angle), ..options(true) }, &Silent).unwrap();
+    let off = apart_rad(&made, &truth);
+    let rms = (off.iter().map(|off| off * off).sum::<f64>() / off.len() as f64).sqrt().to_degrees();
+    println!("RMS {rms:.3} degrees, focal length {:.2}", made.lens.fx);
+    assert!(rms < 0.1, "{rms} degrees");
+    assert!((made.lens.fx / LENS.2 - 1.0).abs() < 0.005, "{}", made.lens.fx);
+}
+
+#[test]
+fn a_strip_lower_than_a_block_is_no_trouble() {
+    let folder = tempfile::tempdir().unwrap();
+    let shot = |name: &str| {
+        let path = folder.path().join(name);
+        image::RgbImage::from_pixel(1000, 5, image::Rgb([90, 100, 110])).save(&path).unwrap();
+        Shot { path, world_from_camera: DQuat::IDENTITY, sigma_rad: None, exposure: None }
+    };
+    let shots = Shots { shots: vec![shot("a.png"), shot("b.png")], lens: None };
+    let options = Options { field_of_view_rad: Some(1.0), ..options(true) };
+    let made = mosaic(&shots, &options, &Silent).unwrap();
+    assert!(made.map.coverage.contains(&2) && made.map.flags.contains(&0));
 }
 
 #[test]

@@ -46,7 +46,7 @@ struct Match {
 
 /// Refines orientations and, within `focal_sigma` (relative) and `k1_sigma`, the lens.
 pub(super) fn align(
-    grays: &[Gray],
+    mut grays: Vec<Gray>,
     priors: &[Prior],
     (focal_sigma, k1_sigma): (f64, f64),
     progress: &dyn Progress,
@@ -63,6 +63,7 @@ pub(super) fn align(
     // The second search knows better where to look.
     for search in 0..2 {
         let lens = state.lens;
+        grays.iter_mut().for_each(|gray| gray.lens = lens);
         let half = DVec2::new(f64::from(lens.width), f64::from(lens.height)) / 2.0;
         let radius = (half.x / lens.fx).hypot(half.y / lens.fy).atan();
         let pairs: Vec<(usize, usize)> = (0..priors.len())
@@ -85,7 +86,10 @@ pub(super) fn align(
                 let kept = agreeing(&lens, &pairs, turn, 3.5 * doubt + AGREE_RAD);
                 let step = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
                 progress.step(search * total + step, 2 * total)?;
-                Ok(kept.into_iter().take(MOST).map(|k| Match { frames: [i, j], at: pairs[k] }).collect())
+                // From all over the picture, as corners are counted cell by cell.
+                let most = kept.len().min(MOST);
+                let kept = (0..most).map(|k| kept[k * kept.len() / most]);
+                Ok(kept.map(|k| Match { frames: [i, j], at: pairs[k] }).collect())
             })
             .collect::<Result<_>>()?;
         let all: Vec<Match> = found.into_iter().flatten().collect();

@@ -21,7 +21,7 @@ pub struct EnvironmentMap {
     pub size: LatLong,
     /// Linear red, green and blue; 0 where nothing was seen.
     pub radiance: Vec<[f32; 3]>,
-    /// The variance of their mean; infinite where nothing was seen. Empty for a map of another program.
+    /// The variance of their mean; infinite where nothing was measured. Empty for a map of another program.
     pub variance: Vec<f32>,
     /// How many photographs show a pixel. Empty for a map of another program.
     pub coverage: Vec<u16>,
@@ -30,7 +30,7 @@ pub struct EnvironmentMap {
 }
 
 impl EnvironmentMap {
-    /// Every photograph that shows the pixel was saturated there.
+    /// Every photograph that shows the pixel was saturated there: the largest of what they say.
     pub const LOWER_BOUND: Flag = 1;
     /// No photograph shows the pixel.
     pub const UNSEEN: Flag = 2;
@@ -59,7 +59,7 @@ impl EnvironmentMap {
         }
         let comments = "Radiance from every direction (linear RGB), y up: the map's centre is +z, +x is a quarter to its left. A pixel's \
              centre lies half a pixel inside the map's border. flags: 1 a lower bound (saturated), 2 never seen, 4 never seen and filled; \
-             variance is that of the mean of R, G and B, infinite where nothing was seen; coverage counts photographs.";
+             variance is that of the mean of R, G and B, infinite where nothing was measured; coverage counts photographs.";
         let mut attributes = LayerAttributes {
             software_name: Some(concat!("rigel ", env!("CARGO_PKG_VERSION")).into()),
             comments: Some(comments.into()),

@@ -1,4 +1,5 @@
-//! Many plates to one map: every pixel is the mean of what the plates say, weighted by the inverse of their variances.
+//! Many plates to one map: every pixel is the mean of what the plates measured, weighted by the inverse of their variances; where none
+//! measured it, the largest of their lower bounds.
 //!
 //! The map is worked on in tiles, so that what a tile needs of a photograph stays in a core's own memory however the camera was
 //! rolled.
@@ -16,6 +17,8 @@ use crate::progress::Progress;
 
 /// Rows and columns of a tile.
 const TILE: (usize, usize) = (32, 2 * CHUNK);
+/// What a plate says is a measurement from this validity on, else a lower bound.
+const MEASURED: f32 = 0.5;
 
 /// How plates are merged.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -32,11 +35,11 @@ pub struct Options {
 pub struct Merged {
     /// Red, green, blue; 0 where nothing was seen.
     pub radiance: Vec<[f32; 3]>,
-    /// The variance of the mean of the three; infinite where nothing was seen.
+    /// The variance of the mean of the three; infinite where nothing was measured.
     pub variance: Vec<f32>,
     /// How many photographs show the pixel.
     pub coverage: Vec<u16>,
-    /// How much of the weight was measured, 0 to 1: less than a half where what is known is a lower bound.
+    /// How much of the weight was measured, 0 to 1: 0 where what is known is a lower bound, else a half at least.
     pub measured: Vec<f32>,
 }
 
@@ -67,6 +70,8 @@ struct Room {
     /// Sums of weight times validity.
     valid: Vec<f32>,
     count: Vec<u16>,
+    /// The largest lower bounds.
+    bounds: Vec<[f32; 3]>,
     /// The mean about which photographs are judged.
     means: Vec<[f32; 4]>,
     runs: Vec<Run>,
@@ -142,6 +147,7 @@ impl Room {
             spread: vec![0.0; pixels],
             valid: vec![0.0; pixels],
             count: vec![0; pixels],
+            bounds: vec![[0.0; 3]; pixels],
             means: vec![[0.0; 4]; pixels],
             runs: vec![],
             store: vec![],
@@ -154,6 +160,7 @@ impl Room {
         self.spread.fill(0.0);
         self.valid.fill(0.0);
         self.count.fill(0);
+        self.bounds.fill([0.0; 3]);
         self.runs.clear();
         self.store.clear();
         self.doubt.clear();
@@ -174,9 +181,12 @@ impl Room {
                 for first in (from..to).step_by(CHUNK) {
                     let count = CHUNK.min(to - first);
                     look(plate, sphere, (row, level, first..first + count), &mut places, &mut seen);
-                    weigh(&mut seen, &mut doubt, &places.feather, plate.noise, options.feather);
+                    let bounded = weigh(&mut seen, &mut doubt, &places.feather, plate.noise, options.feather);
                     let at = (row - rows.start) * TILE.1 + first - columns.start;
                     let all = at..at + count;
+                    if bounded {
+                        bound(&mut seen[..count], &doubt, &mut self.bounds[all.clone()]);
+                    }
                     add(
                         &seen,
                         &doubt,
@@ -239,7 +249,7 @@ impl Room {
             coverage[to.clone()].copy_from_slice(&self.count[from.clone()]);
             finish(
                 &self.sums[from.clone()],
-                (&self.spread[from.clone()], &self.valid[from]),
+                (&self.spread[from.clone()], &self.valid[from.clone()], &self.bounds[from]),
                 &mut radiance[to.clone()],
                 (&mut variance[to.clone()], &mut measured[to]),
             );
@@ -283,7 +293,7 @@ fn widen(row: Range<usize>, level: usize, (((radiance, variance), coverage), mea
     }
 }
 
-/// Turns what a plate shows into weight times radiance and weight, and says its variance and validity.
+/// Turns what a plate shows into weight times radiance and weight, and says its variance and validity; whether lower bounds are among it.
 #[multiversion(targets("x86_64+avx2+fma"))]
 fn weigh(
     seen: &mut [[f32; 4]; CHUNK],
@@ -291,11 +301,15 @@ fn weigh(
     feather: &[f32; CHUNK],
     noise: Noise,
     power: u32,
-) {
+) -> bool {
     let mut soft = feather.map(|feather| if feather > 0.0 { 1.0 } else { 0.0 });
     for _ in 0..power {
-        soft.iter_mut().zip(feather).for_each(|(soft, feather)| *soft *= feather);
+        // What is next to nothing stays more than nothing.
+        soft.iter_mut()
+            .zip(feather)
+            .for_each(|(soft, feather)| *soft = (*soft * feather).max(1e-12 * feather));
     }
+    let mut bounded = false;
     // Scalars of all pixels first, many at a time.
     for ((soft, seen), doubt) in soft.iter_mut().zip(seen.iter()).zip(doubt) {
         let [r, g, b, valid] = *seen;
@@ -303,10 +317,22 @@ fn weigh(
         let known = valid > 1e-20;
         let variance = if known { noise.variance((r + g + b) / (3.0 * valid)) } else { 1.0 };
         *soft = if known { *soft / variance } else { 0.0 };
+        bounded |= *soft > 0.0 && valid < MEASURED;
         *doubt = [variance, valid.clamp(0.0, 1.0)];
     }
     for (seen, factor) in seen.iter_mut().zip(&soft) {
         seen.iter_mut().for_each(|value| *value *= factor);
+    }
+    bounded
+}
+
+/// Takes what was not measured out of what is summed, and keeps the largest: however little a measurement counts, it is one.
+fn bound(seen: &mut [[f32; 4]], doubt: &[[f32; 2]], bounds: &mut [[f32; 3]]) {
+    for ((seen, doubt), bound) in seen.iter_mut().zip(doubt).zip(bounds) {
+        if seen[3] > 0.0 && doubt[1] < MEASURED {
+            (0..3).for_each(|c| bound[c] = bound[c].max(seen[c] / seen[3]));
+            *seen = [0.0; 4];
+        }
     }
 }
 
@@ -316,22 +342,24 @@ fn add(seen: &[[f32; 4]], doubt: &[[f32; 2]], sums: &mut [[f32; 4]], spread: &mu
         (0..4).for_each(|c| sum[c] += seen[c]);
     }
     for ((spread, valid), (seen, doubt)) in spread.iter_mut().zip(valid).zip(seen.iter().zip(doubt)) {
-        *spread += seen[3] * seen[3] * doubt[0];
+        // In this order no product leaves what floats can hold.
+        *spread += seen[3] * (seen[3] * doubt[0]);
         *valid += seen[3] * doubt[1];
     }
 }
 
-/// A row's means from its sums; the variance is infinite where nothing was seen.
+/// A row's means from its sums, which a filter may make negative, or its bounds; the variance is infinite where nothing was measured.
 #[multiversion(targets("x86_64+avx2+fma"))]
 fn finish(
     sums: &[[f32; 4]],
-    (spread, valid): (&[f32], &[f32]),
+    (spread, valid, bounds): (&[f32], &[f32], &[[f32; 3]]),
     radiance: &mut [[f32; 3]],
     (variance, measured): (&mut [f32], &mut [f32]),
 ) {
-    for (radiance, sum) in radiance.iter_mut().zip(sums) {
-        let inverse = if sum[3] > 0.0 { 1.0 / sum[3] } else { 0.0 };
-        *radiance = [sum[0] * inverse, sum[1] * inverse, sum[2] * inverse];
+    for ((radiance, sum), bound) in radiance.iter_mut().zip(sums).zip(bounds) {
+        let inverse = 1.0 / sum[3].max(f32::MIN_POSITIVE);
+        let mean = [0, 1, 2].map(|c| (sum[c] * inverse).max(0.0));
+        *radiance = if sum[3] > 0.0 { mean } else { *bound };
     }
     let outputs = variance.iter_mut().zip(measured);
     for ((variance, measured), (sum, (spread, valid))) in
@@ -359,7 +387,96 @@ fn judge(
         let square = (away[0] * away[0] + away[1] * away[1] + away[2] * away[2]) * (1.0 / 3.0);
         // Three standard deviations are still nothing special.
         let ratio = strictness * square / (9.0 * (doubt[0] + mean[3])).max(f32::MIN_POSITIVE);
+        let ratio = ratio.min(1e3);
         let trust = if count < 3 { 1.0 } else { 1.0 / ((1.0 + ratio) * (1.0 + ratio)) };
         *again = said.map(|value| value * trust);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DQuat, DVec3};
+
+    use super::*;
+    use crate::environment::{EnvironmentMap, Filter};
+    use crate::geometry::{LatLong, Lens, world_from_camera};
+    use crate::progress::Silent;
+
+    const OPTIONS: Options = Options { feather: 4, disagreement: Some(0.1) };
+
+    fn size() -> LatLong {
+        LatLong::new(512, 256).unwrap()
+    }
+
+    fn plate(focal: f64, yaw: f64, pixel: impl Fn(usize) -> [f32; 4]) -> Plate {
+        let lens = Lens::pinhole(160, 120, focal);
+        let turn = world_from_camera(DQuat::from_axis_angle(DVec3::Y, yaw));
+        let noise = Noise { constant: 1e-6, linear: 1e-4, square: 1e-5 };
+        Plate::new(size(), &lens, turn, pixel, noise, Filter::Bicubic).unwrap()
+    }
+
+    #[test]
+    fn a_lamp_has_no_black_ring_saturated_or_not_and_the_map_can_be_read() {
+        const GROUND: f32 = 0.003;
+        // The second and third are made smaller first.
+        for focal in [80.0, 150.0, 400.0] {
+            for valid in [1.0, 1e-4] {
+                let lamp = |i: usize| {
+                    let (x, y) = ((i % 160) as f32 - 83.3, (i / 160) as f32 - 57.9);
+                    if x * x + y * y < 300.0 { [1.0, 1.0, 1.0, valid] } else { [GROUND, GROUND, GROUND, 1.0] }
+                };
+                let merged =
+                    merge(&Sphere::new(size()), &[plate(focal, 0.3, lamp)], &OPTIONS, &Silent).unwrap();
+                let seen = || (0..size().count()).filter(|&i| merged.coverage[i] > 0);
+                for i in seen() {
+                    let radiance = merged.radiance[i][1];
+                    assert!((0.7 * GROUND..1.2).contains(&radiance), "{focal} {valid} {i} {radiance}");
+                }
+                let bounded = seen().filter(|&i| merged.measured[i] < 0.5).count();
+                assert_eq!(bounded > 0, valid < 0.5);
+                assert!(seen().any(|i| merged.radiance[i][1] > 0.95));
+                let folder = tempfile::tempdir().unwrap();
+                let file = folder.path().join("map.exr");
+                let map = EnvironmentMap {
+                    size: size(),
+                    radiance: merged.radiance,
+                    variance: merged.variance,
+                    coverage: merged.coverage,
+                    flags: vec![0; size().count()],
+                };
+                map.write(&file).unwrap();
+                assert_eq!(EnvironmentMap::read(&file).unwrap().radiance, map.radiance);
+            }
+        }
+    }
+
+    #[test]
+    fn what_was_measured_at_a_border_stands_against_any_lower_bound() {
+        let flat = |radiance: f32, valid: f32| move |_: usize| [radiance, radiance, radiance, valid];
+        let make = |plates: &[Plate]| merge(&Sphere::new(size()), plates, &OPTIONS, &Silent).unwrap();
+        let measured = make(&[plate(80.0, 0.6, flat(5.0, 1.0))]);
+        let all = make(&[
+            plate(80.0, 0.0, flat(2.0, 1e-4)),
+            plate(80.0, 0.1, flat(1.0, 1e-4)),
+            plate(80.0, 0.6, flat(5.0, 1.0)),
+        ]);
+        let mut bounds = 0;
+        for i in (0..size().count()).filter(|&i| all.coverage[i] > 0) {
+            if measured.coverage[i] > 0 {
+                assert!((all.radiance[i][0] - 5.0).abs() < 1e-3 && all.measured[i] > 0.99, "{i}");
+                assert!(all.variance[i] > 1e-6 && all.variance[i] < 1e-2, "{}", all.variance[i]);
+            } else {
+                assert!(all.measured[i] == 0.0 && all.variance[i] == f32::INFINITY);
+                if all.coverage[i] == 2 {
+                    assert!(
+                        (all.radiance[i][0] - 2.0).abs() < 1e-3,
+                        "the larger bound: {:?}",
+                        all.radiance[i]
+                    );
+                    bounds += 1;
+                }
+            }
+        }
+        assert!(bounds > 100);
     }
 }

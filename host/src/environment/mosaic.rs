@@ -74,8 +74,10 @@ pub struct Mosaic {
 /// Blocks of pixels across a photograph for the gains; pixels across for corners.
 const BLOCKS: u32 = 120;
 const GRAY: u32 = 1000;
-/// How little a pixel counts whose radiance is a lower bound, where another one measured it.
+/// How little a pixel counts whose radiance is a lower bound, beside others of its photograph that were measured.
 const BOUND: f32 = 1e-4;
+/// A gain's own standard deviation counts up to this, relative: without stated exposures most of it is what all photographs share.
+const GAIN_SIGMA: f64 = 0.02;
 
 /// Makes a map of photographs.
 ///
@@ -146,7 +148,7 @@ pub fn mosaic(shots: &Shots, options: &Options, progress: &dyn Progress) -> Resu
         };
         let grays: Vec<Gray> = pictures.par_iter().map(gray).collect();
         let doubt = if calibrated { (0.005, 0.005) } else { (0.05, 0.05) };
-        align(&grays, &priors, doubt, progress)?
+        align(grays, &priors, doubt, progress)?
     } else {
         Aligned {
             turns: priors.iter().map(|prior| prior.turn).collect(),
@@ -192,7 +194,7 @@ pub fn mosaic(shots: &Shots, options: &Options, progress: &dyn Progress) -> Resu
         let how =
             if alone.iter().all(|&i| stated[i].is_some()) { "the stated exposure" } else { "the mean gain" };
         notes.push(format!(
-            "{} overlap no other measured photograph: {how} stands for their gain",
+            "{} are not linked by overlaps with most photographs: {how} stands for their gain",
             names.join(", ")
         ));
     }
@@ -269,7 +271,7 @@ fn measured(levels: [u16; 3], noise: &NoiseModel) -> (bool, bool) {
 }
 
 fn blocks(picture: &Picture, lens: &Lens, response: &Response, noise: &NoiseModel) -> Blocks {
-    let by = picture.width.div_ceil(BLOCKS).max(1);
+    let by = picture.width.div_ceil(BLOCKS).clamp(1, picture.height.max(1));
     let small = lens.scaled_to((picture.width / by).max(1), (picture.height / by).max(1));
     let exposure = (0..small.width * small.height).map(|i| {
         let (x, y) = (i % small.width * by, i / small.width * by);
@@ -309,10 +311,6 @@ fn plate(
         (0..=white).map(value).collect()
     };
     let tables = [table(0), table(1), table(2)];
-    // The brightest photograph's white tells least of what is brighter.
-    let darkest =
-        (0..photometry[1].gains.len()).map(|i| photometry[1].gains[i]).fold(f64::INFINITY, f64::min);
-    let bound = BOUND * ((darkest - photometry[1].gains[number]) * 4.0).exp().max(1e-12) as f32;
     let shade = photometry.each_ref().map(|p| [p.shape[0], p.shape[1]]);
     let width = picture.width as usize;
     let pixel = |i: usize| {
@@ -323,7 +321,7 @@ fn plate(
             tables[c][usize::from(levels[c])] * (r2 * (a + b * r2)).exp() as f32
         };
         let (saturated, _) = measured(levels, noise);
-        [value(0), value(1), value(2), if saturated { bound } else { 1.0 }]
+        [value(0), value(1), value(2), if saturated { BOUND } else { 1.0 }]
     };
     // The variance of a level in radiance, as a square of its radiance.
     let green = |level: usize| {
@@ -335,6 +333,7 @@ fn plate(
     let (dark, middle, bright) = (at(0.04), at(0.35), at(0.9));
     let linear = ((bright.1 - dark.1) / (bright.0 - dark.0).max(1e-30)).max(0.0);
     let constant = (dark.1 - linear * dark.0).max(1e-3 * middle.1).max(1e-30);
-    let noise = Noise { constant: constant as f32, linear: linear as f32, square: 1e-5 };
+    let square = 1e-5 + photometry[1].sigmas[number].min(GAIN_SIGMA).powi(2);
+    let noise = Noise { constant: constant as f32, linear: linear as f32, square: square as f32 };
     Plate::new(size, lens, turn, pixel, noise, Filter::Bicubic)
 }

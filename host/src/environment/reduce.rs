@@ -8,25 +8,38 @@ type Pixel = [f32; 4];
 const REACH: f64 = 2.0;
 
 /// Resamples a picture to a smaller size with a cubic (Mitchell and Netravali, "Reconstruction filters in computer graphics", SIGGRAPH
-/// 1988, equation 8 with B = C = 1/3) as wide as two of the smaller picture's pixels on either side.
+/// 1988, equation 8 with B = C = 1/3) as wide as two of the smaller picture's pixels on either side. Nothing becomes less than the least
+/// of the pixels that count positively: the kernel's negative lobes would make black rings around lamps.
 pub(super) fn reduce(pixels: &[Pixel], from: (usize, usize), to: (usize, usize)) -> Vec<Pixel> {
     let (across, down) = (Taps::new(from.0, to.0), Taps::new(from.1, to.1));
     let mut narrow = vec![[0.0; 4]; to.0 * from.1];
     narrow.par_chunks_mut(to.0).zip(pixels.par_chunks(from.0)).for_each(|(line, source)| {
         for (target, (first, weights)) in line.iter_mut().zip(&across.0) {
-            let mut sum = [0.0; 4];
+            let (mut sum, mut least) = ([0.0; 4], [f32::INFINITY; 4]);
             for (weight, pixel) in weights.iter().zip(&source[*first..]) {
                 (0..4).for_each(|c| sum[c] += weight * pixel[c]);
+                if *weight > 0.0 {
+                    (0..4).for_each(|c| least[c] = least[c].min(pixel[c]));
+                }
             }
-            *target = sum;
+            *target = [0, 1, 2, 3].map(|c| sum[c].max(least[c]));
         }
     });
     let mut small = vec![[0.0; 4]; to.0 * to.1];
     small.par_chunks_mut(to.0).zip(&down.0).for_each(|(line, (first, weights))| {
+        let mut least = vec![[f32::INFINITY; 4]; to.0];
         for (weight, source) in weights.iter().zip(narrow[first * to.0..].chunks_exact(to.0)) {
             for (target, pixel) in line.iter_mut().zip(source) {
                 (0..4).for_each(|c| target[c] += weight * pixel[c]);
             }
+            if *weight > 0.0 {
+                for (least, pixel) in least.iter_mut().zip(source) {
+                    (0..4).for_each(|c| least[c] = least[c].min(pixel[c]));
+                }
+            }
+        }
+        for (target, least) in line.iter_mut().zip(&least) {
+            (0..4).for_each(|c| target[c] = target[c].max(least[c]));
         }
     });
     small

@@ -53,8 +53,12 @@ impl Sphere {
 
     /// How often the columns of these rows may be halved.
     pub(super) fn level(&self, rows: &Range<usize>) -> usize {
-        let widest = |row: usize| self.size.latitude(row as f64).cos();
-        let widest = widest(rows.start).max(widest(rows.end - 1));
+        let part = |row: usize| self.size.latitude(row as f64).cos();
+        let widest = if rows.contains(&(self.size.height() / 2)) {
+            1.0
+        } else {
+            part(rows.start).max(part(rows.end - 1))
+        };
         ((0.6 / widest).log2().max(0.0) as usize).min(self.levels.len() - 1)
     }
 
@@ -283,13 +287,13 @@ pub(super) fn look(
 #[multiversion(targets("x86_64+avx2+fma"))]
 fn sample(filter: Filter, pixels: &[[f32; 4]], stride: usize, places: &Places, seen: &mut [[f32; 4]]) {
     match filter {
-        Filter::Nearest => gather::<1>(pixels, stride, places, seen, |_| [1.0]),
-        Filter::Bilinear => gather::<2>(pixels, stride, places, seen, |t| [1.0 - t, t]),
-        Filter::Bicubic => gather::<4>(pixels, stride, places, seen, |t| {
+        Filter::Nearest => gather::<1, false>(pixels, stride, places, seen, |_| [1.0]),
+        Filter::Bilinear => gather::<2, false>(pixels, stride, places, seen, |t| [1.0 - t, t]),
+        Filter::Bicubic => gather::<4, true>(pixels, stride, places, seen, |t| {
             let s = 1.0 - t;
             [-0.5 * t * s * s, 1.0 + t * t * (1.5 * t - 2.5), 1.0 + s * s * (1.5 * s - 2.5), -0.5 * s * t * t]
         }),
-        Filter::Spline => gather::<4>(pixels, stride, places, seen, |t| {
+        Filter::Spline => gather::<4, false>(pixels, stride, places, seen, |t| {
             let s = 1.0 - t;
             const SIXTH: f32 = 1.0 / 6.0;
             [
@@ -312,8 +316,13 @@ fn floor(at: f32) -> (i32, f32) {
     (above.to_bits() as i32 - WHOLE.to_bits() as i32 - 1, above - WHOLE - 1.0)
 }
 
+/// How far below the least of the four pixels around a place cubic convolution may go: its negative lobes would make black rings around
+/// lamps.
+const LEAST: f32 = 0.75;
+
+/// `LOBES` says that weights may be negative, of pixels that are not.
 #[inline(always)]
-fn gather<const TAPS: usize>(
+fn gather<const TAPS: usize, const LOBES: bool>(
     pixels: &[[f32; 4]],
     stride: usize,
     places: &Places,
@@ -328,12 +337,13 @@ fn gather<const TAPS: usize>(
     };
     // Numbers and weights of all pixels first, many at a time.
     let (mut across, mut down) = ([[0f32; CHUNK]; TAPS], [[0f32; CHUNK]; TAPS]);
-    let mut first = [0i32; CHUNK];
+    let (mut first, mut part) = ([0i32; CHUNK], [[0f32; CHUNK]; 2]);
     let (stride_i, skipped) = (stride as i32, (BORDER - before) as i32);
     for i in 0..CHUNK {
         let (x, y) = (places.x[i] + offset, places.y[i] + offset);
         let ((column, left), (line, top)) = (floor(x), floor(y));
         first[i] = (line + skipped) * stride_i + column + skipped;
+        (part[0][i], part[1][i]) = (x - left, y - top);
         let (wx, wy) = (weights(x - left), weights(y - top));
         for k in 0..TAPS {
             (across[k][i], down[k][i]) = (wx[k], wy[k]);
@@ -353,6 +363,42 @@ fn gather<const TAPS: usize>(
         for (across, column) in across.iter().zip(&columns) {
             (0..4).for_each(|c| sum[c] = across[i].mul_add(column[c], sum[c]));
         }
+        if LOBES {
+            let (above, below) = (stride + 1, 2 * stride + 1);
+            let inner = [lines[above], lines[above + 1], lines[below], lines[below + 1]];
+            if sum[3] < 0.5 {
+                // Lobes may leave next to nothing of what was measured: without them.
+                let (s, t) = (part[0][i], part[1][i]);
+                let weights = [(1.0 - s) * (1.0 - t), s * (1.0 - t), (1.0 - s) * t, s * t];
+                sum = [0.0; 4];
+                for (weight, pixel) in weights.iter().zip(&inner) {
+                    (0..4).for_each(|c| sum[c] += weight * pixel[c]);
+                }
+            } else {
+                for c in 0..4 {
+                    let least = inner[0][c].min(inner[1][c]).min(inner[2][c].min(inner[3][c]));
+                    sum[c] = sum[c].max(LEAST * least);
+                }
+            }
+        }
         *target = sum;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_that_span_the_equator_keep_all_columns() {
+        let level = |width: u32, rows: Range<usize>| {
+            Sphere::new(LatLong::new(width, width / 2).unwrap()).level(&rows)
+        };
+        assert_eq!(level(64, 0..32), 0);
+        assert_eq!(level(32, 0..16), 0);
+        assert_eq!(level(512, 96..128), 0);
+        assert_eq!(level(512, 128..160), 0);
+        // The first rows of a large map are short circles.
+        assert!(level(4096, 0..32) >= 3);
     }
 }
