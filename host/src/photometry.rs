@@ -131,25 +131,33 @@ fn from_the_surface(
 ) -> Result<Option<Estimate>> {
     let falls_off = if options.vignetting { unflattened(session, views, found)? } else { None };
     let asks = match (options.lamp && options.reference.is_none(), falls_off) {
-        (true, None) => "the lamp was steady",
-        (true, Some(_)) => "the lamp was steady and the lens even",
-        (false, Some(_)) => "the lens was even",
+        (true, None) => Some("the lamp was steady"),
+        (true, Some(_)) => Some("the lamp was steady and the lens even"),
+        (false, Some(_)) => Some("the lens was even"),
+        // Whether it contradicts the patch.
+        (false, None) if options.lamp => None,
         (false, None) => return Ok(None),
     };
     if views.len() < FEWEST_VIEWS {
-        found.notes.push(format!(
-            "{} views do not tell whether {asks}, {FEWEST_VIEWS} would: nothing is changed",
-            views.len()
-        ));
+        let note = |asks| {
+            format!(
+                "{} views do not tell whether {asks}, {FEWEST_VIEWS} would: nothing is changed",
+                views.len()
+            )
+        };
+        found.notes.extend(asks.map(note));
         return Ok(None);
     }
     let surface = session.manifest.surface()?;
     let whole = look(session, registration, views, (surface, DVec3::ZERO), found, progress)?;
     let most = whole.texels.iter().map(|texel| texel.observations.len()).max().unwrap_or(0);
     if most < FEWEST_VIEWS {
-        found.notes.push(format!(
-            "the views overlap too little to tell whether {asks}: no place was seen by more than {most} of them, {FEWEST_VIEWS} would do: nothing is changed"
-        ));
+        let note = |asks| {
+            format!(
+                "the views overlap too little to tell whether {asks}: no place was seen by more than {most} of them, {FEWEST_VIEWS} would do: nothing is changed"
+            )
+        };
+        found.notes.extend(asks.map(note));
         return Ok(None);
     }
     let model = Model::Phong { lobes: if views.len() < VIEWS_FOR_TWO_LOBES { 1 } else { 2 } };
