@@ -253,7 +253,7 @@ impl Blocks {
             Method::MedianCut => [0.0; 3],
             Method::Joined => [0, 1, 2].map(|c| median(means.iter().map(|(mean, angle)| (mean[c], *angle)))),
         };
-        let made: Vec<(Sum, [f64; 3], (DVec3, f64), f64)> = (0..columns * rows)
+        let made: Vec<_> = (0..columns * rows)
             .into_par_iter()
             .map(|block| {
                 let (mut sum, mut low) = (Sum::default(), [0.0; 3]);
