@@ -292,8 +292,9 @@ pub fn evaluate(arguments: &Evaluate) -> Result<()> {
             let session = Session::open(folder)?;
             let views = session_views(&session, &arguments.views)?;
             seen = seen_by_fit(&map, &session, &views);
+            let references = session_references(&session, &views).map_err(|error| error.about(folder))?;
             require_the_same_light(arguments, &map, &session)?;
-            session_references(&session, &views).map_err(|error| error.about(folder))?
+            references
         }
         (None, None) => {
             return Err(Error::request(
