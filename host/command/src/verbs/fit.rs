@@ -325,7 +325,9 @@ pub fn evaluate(arguments: &Evaluate) -> Result<()> {
     );
     if let Some(seen) = seen {
         say!("warning: {seen}");
-    } else if map.diagnostics.as_ref().is_some_and(|diagnostics| diagnostics.photometry.is_some()) {
+    } else if arguments.references.is_none()
+        && map.diagnostics.as_ref().is_some_and(|diagnostics| diagnostics.photometry.is_some())
+    {
         say!(
             "note: the lamp's gain in each of these views, or the vignetting, was found with their help (photometry.toml)"
         );
