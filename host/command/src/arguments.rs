@@ -63,6 +63,9 @@ pub struct Chart {
     /// Folder for the page, its charts and the raw figures (CSV)
     #[arg(long, default_value = "rigel-charts")]
     pub out: PathBuf,
+    /// What other programs did with the same texels, for the charts of models: a fit_peers.csv of tools/peers/texels.py
+    #[arg(long)]
+    pub peers: Option<PathBuf>,
 }
 
 #[derive(Args)]

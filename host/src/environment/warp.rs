@@ -320,6 +320,12 @@ fn floor(at: f32) -> (i32, f32) {
 /// lamps.
 const LEAST: f32 = 0.75;
 
+/// The lesser of two numbers: unlike `f32::min`, without looking for numbers that are none.
+#[inline(always)]
+fn lesser(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
 /// `LOBES` says that weights may be negative, of pixels that are not.
 #[inline(always)]
 fn gather<const TAPS: usize, const LOBES: bool>(
@@ -355,8 +361,10 @@ fn gather<const TAPS: usize, const LOBES: bool>(
         // Down first: the columns' sums do not wait for each other.
         let mut columns = [[0f32; 4]; TAPS];
         for (j, down) in down.iter().enumerate() {
-            for (column, pixel) in columns.iter_mut().zip(&lines[j * stride..j * stride + TAPS]) {
-                (0..4).for_each(|c| column[c] = down[i].mul_add(pixel[c], column[c]));
+            // All their numbers in one row: two pixels to a register.
+            let line = lines[j * stride..j * stride + TAPS].as_flattened();
+            for (column, value) in columns.as_flattened_mut().iter_mut().zip(line) {
+                *column = down[i].mul_add(*value, *column);
             }
         }
         let mut sum = [0f32; 4];
@@ -376,8 +384,8 @@ fn gather<const TAPS: usize, const LOBES: bool>(
                 }
             } else {
                 for c in 0..4 {
-                    let least = inner[0][c].min(inner[1][c]).min(inner[2][c].min(inner[3][c]));
-                    sum[c] = sum[c].max(LEAST * least);
+                    let least = lesser(lesser(inner[0][c], inner[1][c]), lesser(inner[2][c], inner[3][c]));
+                    sum[c] = if LEAST * least > sum[c] { LEAST * least } else { sum[c] };
                 }
             }
         }

@@ -1,6 +1,7 @@
 //! Models of a texel: what each costs in time and memory, how well it predicts, and where it breaks.
 
 pub(crate) mod breaks;
+mod peers;
 pub mod texels;
 mod thesis;
 
@@ -21,6 +22,7 @@ use rigel::report::Report;
 use crate::figures::{figure, quantile, table};
 use crate::machine::cpu_seconds;
 use crate::table::Table;
+pub use peers::hand_over;
 use texels::{Doubt, Truth, area_lamps, directions, lobes, observe, smooth};
 
 /// Errors are measured in so many directions between the views.
@@ -66,7 +68,7 @@ fn fit(name: &str, truths: &[Truth], observed: &[TexelObservations]) -> Result<O
         let fits = selector.fit(&all, &chosen).into_iter().zip(chosen);
         fits.map(|(fit, choice)| (fit.parameters, choice.model)).collect::<Vec<_>>()
     });
-    let toward = directions(FRESH, ZENITH_RAD, 1.3);
+    let toward = fresh();
     let error = |(truth, (parameters, choice)): (&Truth, &(Vec<f32>, usize))| {
         let model = models[*choice];
         let miss = |direction: &Vec3| {
@@ -83,6 +85,26 @@ fn fit(name: &str, truths: &[Truth], observed: &[TexelObservations]) -> Result<O
         p95: quantile(&mut errors, 0.95),
         bytes: if name == AUTO { bytes + 1.0 } else { bytes },
     }))
+}
+
+/// Where the views are taken from.
+fn views() -> Vec<Vec3> {
+    directions(150, ZENITH_RAD, 0.0)
+}
+
+/// Where errors are measured.
+fn fresh() -> Vec<Vec3> {
+    directions(FRESH, ZENITH_RAD, 1.3)
+}
+
+fn row(name: &str, done: &Done) -> Vec<String> {
+    vec![
+        name.to_owned(),
+        format!("{:.1}", 1e6 * done.cpu_s),
+        format!("{:.2}", 100.0 * done.error),
+        format!("{:.2}", 100.0 * done.p95),
+        format!("{:.1}", done.bytes),
+    ]
 }
 
 /// Texels of every kind that the models are made for, and of some that they are not.
@@ -106,16 +128,22 @@ fn observe_all(truths: &[Truth], toward: &[Vec3], doubt: &Doubt) -> Vec<TexelObs
 }
 
 /// Every way of fitting on one mixture, where each breaks, and the thesis's own tests: charts and tables on the page, raw
-/// figures in `folder`.
+/// figures in `folder`. `peers`: a `fit_peers.csv` of `tools/peers/texels.py`, whose rows join the charts.
 ///
 /// # Errors
-/// What fitting, drawing or writing reports; [`rigel::Error::Interrupted`].
-pub fn sweep(folder: &Path, report: &mut Report, progress: &dyn Progress) -> Result<()> {
+/// What `peers` is at fault for; what fitting, drawing or writing reports; [`rigel::Error::Interrupted`].
+pub fn sweep(
+    folder: &Path,
+    peers: Option<&Path>,
+    report: &mut Report,
+    progress: &dyn Progress,
+) -> Result<()> {
+    let peers = peers.map_or(Ok(vec![]), peers::read)?;
     let names: Vec<String> = Model::all().iter().map(Model::name).chain([AUTO.to_owned()]).collect();
     let total = names.len() + breaks::STEPS + thesis::STEPS;
     report.heading("Models of a texel");
     let truths = mixture();
-    let observed = observe_all(&truths, &directions(150, ZENITH_RAD, 0.0), &Doubt::USUAL);
+    let observed = observe_all(&truths, &views(), &Doubt::USUAL);
     let mut figures = Table::new(&[
         "model",
         "cpu_us_per_texel",
@@ -127,24 +155,24 @@ pub fn sweep(folder: &Path, report: &mut Report, progress: &dyn Progress) -> Res
     for (index, name) in names.iter().enumerate() {
         progress.step(index, total)?;
         let Some(done) = fit(name, &truths, &observed)? else { continue };
-        figures.row(vec![
-            name.clone(),
-            format!("{:.1}", 1e6 * done.cpu_s),
-            format!("{:.2}", 100.0 * done.error),
-            format!("{:.2}", 100.0 * done.p95),
-            format!("{:.1}", done.bytes),
-        ]);
+        figures.row(row(name, &done));
         points.push((name.clone(), done));
     }
+    for (name, done) in &peers {
+        figures.row(row(name, done));
+    }
     let scatter = |x: &dyn Fn(&Done) -> f64, label: &str| {
-        let point = |(name, done): &(String, Done)| ChartPoint {
-            // Orders and numbers of lobes of one kind share a colour.
-            method: name.chars().filter(|letter| !letter.is_ascii_digit()).collect(),
+        let point = |method: String, name: &str, done: &Done| ChartPoint {
+            method,
             x: x(done),
             y: 100.0 * done.error,
-            label: name.clone(),
+            label: name.to_owned(),
         };
-        let points: Vec<ChartPoint> = points.iter().map(point).collect();
+        // Orders and numbers of lobes of one kind share a colour.
+        let kind = |name: &str| name.chars().filter(|letter| !letter.is_ascii_digit()).collect();
+        let ours = points.iter().map(|(name, done)| point(kind(name), name, done));
+        let others = peers.iter().map(|(name, done)| point("other programs".into(), name, done));
+        let points: Vec<ChartPoint> = ours.chain(others).collect();
         let error = Axis { label: "mean error between the views, %", logarithmic: true };
         chart::scatter(&points, (Axis { label, logarithmic: true }, error))
     };

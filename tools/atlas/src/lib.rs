@@ -12,7 +12,7 @@ mod poses;
 mod radiance;
 mod table;
 
-pub use fit::{breaks::error_at, sweep as fit, texels};
+pub use fit::{breaks::error_at, hand_over, sweep as fit, texels};
 pub use lens::sweep as lens;
 pub use machine::{cpu_seconds, cpu_time, facts};
 pub use poses::sweep as poses;
