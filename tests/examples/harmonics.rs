@@ -28,7 +28,7 @@ const TEXELS: usize = 128;
 const PLAIN: Weighing = Weighing { relative_error: 0.0, floor: 1e-6, robust: false };
 
 fn main() {
-    for shininess in [15, 100] {
+    for shininess in if std::env::args().len() > 1 { vec![] } else { vec![15, 100] } {
         println!("289 views down to zenith 75 degrees, a lobe of shininess {shininess}");
         println!(
             "{:<10} {:>9} {:>6} {:>8} {:>8} {:>8} {:>10} {:>6}",
@@ -168,18 +168,19 @@ fn speed() {
         })
         .collect();
     let texels: Vec<_> = tile.iter().collect();
-    println!("512 x 512 texels x 300 views x RGB, from memory: the best of five tiles");
+    println!("512 x 512 texels x 300 views x RGB, from memory: the best of five times eight tiles");
     println!("{:<10} {:>16} {:>24}", "method", "us per texel", "s for all, two cores");
     for method in HarmonicsMethod::ALL.into_iter().filter(|method| method.is_on_the_hemisphere()) {
         for order in method.orders() {
             let weighing = Weighing { relative_error: 0.03, floor: 0.015, robust: false };
             let smooth = Smooth::new(method, order, Some(1e-6), weighing, &tile[..64]);
-            let one = || {
+            // Several tiles at once: the system's clock may tick in 4 ms.
+            let some = || {
                 let before = busy_s(start);
-                std::hint::black_box(smooth.fit_tile(&texels));
-                busy_s(start) - before
+                (0..8).for_each(|_| drop(std::hint::black_box(smooth.fit_tile(&texels))));
+                (busy_s(start) - before) / 8.0
             };
-            let best = (0..5).map(|_| one()).fold(f64::INFINITY, f64::min) / 1024.0;
+            let best = (0..5).map(|_| some()).fold(f64::INFINITY, f64::min) / 1024.0;
             let all_s = best * 512.0 * 512.0 / 2.0;
             println!("{:<10} {:>16.1} {all_s:>24.2}", Model::Harmonics { order, method }.name(), 1e6 * best);
         }

@@ -8,6 +8,7 @@
 // Each further lobe begins where the residual of the fit before is largest, with three widths; all are then fitted together.
 #include <ceres/ceres.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
@@ -63,12 +64,20 @@ struct Lobes : ceres::CostFunction {
 static double fit(const double *measured, const double *sigma, int lobes, double *x) {
     ceres::Problem problem;
     problem.AddResidualBlock(new Lobes(measured, sigma, lobes), nullptr, x);
-    for (int c = 0; c < 3; c++) problem.SetParameterLowerBound(x, c, 0);
+    // Nothing is brighter than twice what was seen: without that, lobes between the views grow without end.
+    const double most = 2 * *std::max_element(measured, measured + 3 * views);
+    for (int c = 0; c < 3; c++) {
+        problem.SetParameterLowerBound(x, c, 0);
+        problem.SetParameterUpperBound(x, c, most);
+    }
     for (int b = 0; b < lobes; b++) {
         const int at = 3 + 7 * b;
         problem.SetParameterLowerBound(x, at, 1);
         problem.SetParameterUpperBound(x, at, 5000);
-        for (int c = 1; c < 4; c++) problem.SetParameterLowerBound(x, at + c, 0);
+        for (int c = 1; c < 4; c++) {
+            problem.SetParameterLowerBound(x, at + c, 0);
+            problem.SetParameterUpperBound(x, at + c, most);
+        }
         for (int d = 4; d < 7; d++) {
             problem.SetParameterLowerBound(x, at + d, d == 6 ? 0 : -1);
             problem.SetParameterUpperBound(x, at + d, 1);

@@ -72,7 +72,7 @@ def scipy_lobe(o, s):
     """One lobe as scipy's manual would have it: bounds, and derivatives by differences."""
     peak = views[np.argmax(o.sum(1))]
     start = np.concatenate([0.8 * o.mean(0), [20.0], [0.1] * 3, peak])
-    low, high = [0] * 3 + [1] + [0] * 3 + [-1.01, -1.01, 0], [np.inf] * 3 + [5000] + [np.inf] * 3 + [1.01] * 3
+    low, high = [0] * 3 + [1] + [0] * 3 + [-1.01, -1.01, 0], [2 * o.max()] * 3 + [5000] + [2 * o.max()] * 3 + [1.01] * 3
 
     def unit(x):
         return np.concatenate([x[:7], x[7:] / max(np.linalg.norm(x[7:]), 1e-9)])

@@ -22,7 +22,7 @@ use rigel::report::Report;
 use crate::figures::{figure, quantile, table};
 use crate::machine::cpu_seconds;
 use crate::table::Table;
-pub use peers::hand_over;
+pub use peers::{Peers, hand_over};
 use texels::{Doubt, Truth, area_lamps, directions, lobes, observe, smooth};
 
 /// Errors are measured in so many directions between the views.
@@ -128,17 +128,11 @@ fn observe_all(truths: &[Truth], toward: &[Vec3], doubt: &Doubt) -> Vec<TexelObs
 }
 
 /// Every way of fitting on one mixture, where each breaks, and the thesis's own tests: charts and tables on the page, raw
-/// figures in `folder`. `peers`: a `fit_peers.csv` of `tools/peers/texels.py`, whose rows join the charts.
+/// figures in `folder`. `peers` join the charts.
 ///
 /// # Errors
-/// What `peers` is at fault for; what fitting, drawing or writing reports; [`rigel::Error::Interrupted`].
-pub fn sweep(
-    folder: &Path,
-    peers: Option<&Path>,
-    report: &mut Report,
-    progress: &dyn Progress,
-) -> Result<()> {
-    let peers = peers.map_or(Ok(vec![]), peers::read)?;
+/// What fitting, drawing or writing reports; [`rigel::Error::Interrupted`].
+pub fn sweep(folder: &Path, peers: &Peers, report: &mut Report, progress: &dyn Progress) -> Result<()> {
     let names: Vec<String> = Model::all().iter().map(Model::name).chain([AUTO.to_owned()]).collect();
     let total = names.len() + breaks::STEPS + thesis::STEPS;
     report.heading("Models of a texel");
@@ -158,7 +152,7 @@ pub fn sweep(
         figures.row(row(name, &done));
         points.push((name.clone(), done));
     }
-    for (name, done) in &peers {
+    for (name, done) in &peers.0 {
         figures.row(row(name, done));
     }
     let scatter = |x: &dyn Fn(&Done) -> f64, label: &str| {
@@ -171,7 +165,7 @@ pub fn sweep(
         // Orders and numbers of lobes of one kind share a colour.
         let kind = |name: &str| name.chars().filter(|letter| !letter.is_ascii_digit()).collect();
         let ours = points.iter().map(|(name, done)| point(kind(name), name, done));
-        let others = peers.iter().map(|(name, done)| point("other programs".into(), name, done));
+        let others = peers.0.iter().map(|(name, done)| point("other programs".into(), name, done));
         let points: Vec<ChartPoint> = ours.chain(others).collect();
         let error = Axis { label: "mean error between the views, %", logarithmic: true };
         chart::scatter(&points, (Axis { label, logarithmic: true }, error))

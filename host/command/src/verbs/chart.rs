@@ -2,6 +2,7 @@
 
 use rigel::report::Report;
 use rigel::{Error, Result, file};
+use rigel_atlas::Peers;
 
 use crate::arguments::Chart;
 use crate::progress::Bar;
@@ -9,6 +10,7 @@ use crate::say::say;
 
 /// `rigel chart`.
 pub fn chart(arguments: &Chart) -> Result<()> {
+    let peers = arguments.peers.as_deref().map_or_else(|| Ok(Peers::default()), Peers::read)?;
     let out = &arguments.out;
     std::fs::create_dir_all(out).map_err(Error::io("create", out))?;
     let mut report = Report::new("Rigel: speed, accuracy, and where it breaks");
@@ -20,7 +22,8 @@ pub fn chart(arguments: &Chart) -> Result<()> {
     rigel_atlas::radiance(out, &mut report, &Bar::new("radiance"))?;
     rigel_atlas::lens(out, &mut report, &Bar::new("lens"))?;
     rigel_atlas::poses(out, &mut report, &Bar::new("poses"))?;
-    rigel_atlas::fit(out, arguments.peers.as_deref(), &mut report, &Bar::new("fit"))?;
+    rigel_atlas::fit(out, &peers, &mut report, &Bar::new("fit"))?;
+    rigel_atlas::mosaic(out, &mut report, &Bar::new("mosaic"))?;
     let page = out.join("index.html");
     file::write_bytes(&page, report.to_html().as_bytes())?;
     say!("wrote {}: open {} in a browser", out.display(), page.display());

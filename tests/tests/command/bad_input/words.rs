@@ -211,5 +211,10 @@ fn what_is_wrong_is_said_before_the_work() {
             arguments: &["render", "phong.exr", "--camera", "lens.toml", "--out", "picture.png"],
             names: &["lens.toml", "cannot be used", "width, height, centre"],
         },
+        Case {
+            spoil: |folder| fs::write(folder.join("peers.csv"), "# none\nmodel,us\nphong,1,2\n").unwrap(),
+            arguments: &["chart", "--peers", "peers.csv"],
+            names: &["peers.csv", "line 3", "tools/peers/texels.py"],
+        },
     ]);
 }

@@ -19,7 +19,8 @@ use crate::fit::texels::Doubt;
 pub fn hand_over(folder: &Path) -> Result<()> {
     let (truths, toward, fresh) = (mixture(), views(), fresh());
     let observed = observe_all(&truths, &toward, &Doubt::USUAL);
-    let floor = Selector::new(&[Model::Constant], &FitOptions::default(), 0.0, &observed, &|| Ok(()))?.floor();
+    let floor =
+        Selector::new(&[Model::Constant], &FitOptions::default(), 0.0, &observed, &|| Ok(()))?.floor();
     let write = |name: &str, header: &str, rows: &mut dyn Iterator<Item = Vec<f32>>| {
         let mut text = format!("{header}\n");
         for row in rows {
@@ -40,16 +41,28 @@ pub fn hand_over(folder: &Path) -> Result<()> {
     write("floor.csv", "floor", &mut std::iter::once(vec![floor as f32]))
 }
 
-/// The rows of a `fit_peers.csv`: names, and what each did.
-///
-/// # Errors
-/// [`Error::Io`] where it cannot be read, [`Error::Input`] where it is no such table.
-pub(super) fn read(path: &Path) -> Result<Vec<(String, Done)>> {
+/// What other programs did with the texels of the charts: names, and what each did.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Peers(pub(super) Vec<(String, Done)>);
+
+impl Peers {
+    /// The rows of a `fit_peers.csv` of `tools/peers/texels.py`.
+    ///
+    /// # Errors
+    /// [`Error::Io`] where it cannot be read, [`Error::Input`] where it is no such table.
+    pub fn read(path: &Path) -> Result<Self> {
+        rows(path).map(Self)
+    }
+}
+
+fn rows(path: &Path) -> Result<Vec<(String, Done)>> {
     let text = std::fs::read_to_string(path).map_err(Error::io("read", path))?;
     let wrong = |line: usize| {
         Error::input(
             path,
-            format!("line {line} is not a row of name, microseconds, mean and 95th percentile of the error in percent, bytes"),
+            format!(
+                "line {line} is not a row of name, microseconds, mean and 95th percentile of the error in percent, bytes"
+            ),
             "make it with tools/peers/texels.py",
         )
     };
