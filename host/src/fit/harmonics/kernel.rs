@@ -48,6 +48,14 @@ pub(super) fn normal_product(
     }
 }
 
+/// For the coefficients `of`: what they predict for each view (A alone).
+pub(super) fn predict(rule: &Rule<f32>, packed: &Packed, of: &[Rgb], work: &mut Room, predicted: &mut [Rgb]) {
+    match &packed.design {
+        Design::Own => own_predicted(rule, packed, of, &mut work.basis, predicted),
+        Design::Shared(design) => transposed_matrix_product(design, of, predicted),
+    }
+}
+
 /// AᵀW of one value per view.
 pub(super) fn transposed_product(
     rule: &Rule<f32>,
@@ -84,14 +92,7 @@ fn own_product(
     product.fill([Lane::ZERO; 3]);
     for first in (0..packed.x.len()).step_by(VIEWS) {
         basis(rule, packed, first, scratch);
-        let mut sums = [[Lane::ZERO; 3]; VIEWS];
-        for (basis, of) in scratch.iter().zip(of) {
-            for v in 0..VIEWS {
-                for c in 0..3 {
-                    sums[v][c] = basis[v].times_plus(of[c], sums[v][c]);
-                }
-            }
-        }
+        let mut sums = seen(scratch, of);
         let count = VIEWS.min(packed.x.len() - first);
         predicted[first..first + count].copy_from_slice(&sums[..count]);
         for v in 0..VIEWS {
@@ -101,6 +102,21 @@ fn own_product(
             }
         }
         accumulate(scratch, &sums, product);
+    }
+}
+
+/// What the coefficients `of` predict for each view.
+#[multiversion(targets("x86_64+avx2+fma"))]
+fn own_predicted(
+    rule: &Rule<f32>,
+    packed: &Packed,
+    of: &[Rgb],
+    scratch: &mut Scratch,
+    predicted: &mut [Rgb],
+) {
+    for (block, predicted) in predicted.chunks_mut(VIEWS).enumerate() {
+        basis(rule, packed, block * VIEWS, scratch);
+        predicted.copy_from_slice(&seen(scratch, of)[..predicted.len()]);
     }
 }
 
@@ -229,6 +245,19 @@ fn basis(rule: &Rule<f32>, packed: &Packed, first: usize, scratch: &mut Scratch)
         let (x, y, z) = (packed.x[i], packed.y[i], packed.z[i]);
         rule.fill(rule.order(), x, y, z, |index, value| scratch[index][v] = value);
     }
+}
+
+#[inline(always)]
+fn seen(scratch: &Scratch, of: &[Rgb]) -> [Rgb; VIEWS] {
+    let mut sums = [[Lane::ZERO; 3]; VIEWS];
+    for (basis, of) in scratch.iter().zip(of) {
+        for v in 0..VIEWS {
+            for c in 0..3 {
+                sums[v][c] = basis[v].times_plus(of[c], sums[v][c]);
+            }
+        }
+    }
+    sums
 }
 
 #[inline(always)]

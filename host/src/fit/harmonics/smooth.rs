@@ -12,7 +12,9 @@ use nalgebra::DMatrix;
 
 use super::HarmonicsMethod;
 use super::basis::{Basis, Number, Rule};
-use super::kernel::{Rgb, Room, advance, energy, matrix_product, normal_product, tally, transposed_product};
+use super::kernel::{
+    Rgb, Room, advance, energy, matrix_product, normal_product, predict, tally, transposed_product,
+};
 use super::lanes::{LANES, Lane};
 use super::packed::{Packed, pack, settle, weigh_observations};
 use super::penalty::{self, Normal};
@@ -22,6 +24,11 @@ use crate::observation::TexelObservations;
 
 /// The search ends where its error is below this share of the standard deviation that the noise gives the fit.
 const ACCURACY: f32 = 0.1;
+/// A step whose error is foretold, from the fall of the one before, to end this many times below what is asked for is the last:
+/// what is left is not worked out.
+const FORETOLD: f32 = 4.0;
+/// A neighbour's coefficients are a beginning where they leave less than this of a texel's energy.
+const LIKE: f32 = 0.25;
 /// Most steps of a search: a texel seen by a few views of its tile's takes longest.
 const STEPS: usize = 16;
 /// So many texels of a tile stand for it.
@@ -230,9 +237,8 @@ impl Smooth {
             let Packed { weight, radiance, .. } = &work.packed;
             sum(weight.iter().zip(radiance).map(|(weight, radiance)| weight.times(radiance[c])))
         });
-        work.missing.clone_from(&work.packed.radiance);
-        work.predicted.resize(work.missing.len(), [Lane::ZERO; 3]);
-        work.found.fill([Lane::ZERO; 3]);
+        work.predicted.resize(work.packed.radiance.len(), [Lane::ZERO; 3]);
+        self.begin(work);
         let mut converged = self.search(shared, &views, work);
         if self.weighing.robust {
             for _ in 0..3 {
@@ -244,19 +250,7 @@ impl Smooth {
         }
         let held = self.positive.mend(&mut work.found, &mean, &shared.inverse);
         if held.contains(&true) {
-            normal_product(
-                &self.rule,
-                &work.packed,
-                &work.found,
-                &mut work.room,
-                &mut work.predicted,
-                &mut work.product,
-            );
-            for (missing, (seen, predicted)) in
-                work.missing.iter_mut().zip(work.packed.radiance.iter().zip(&work.predicted))
-            {
-                *missing = std::array::from_fn(|c| seen[c].minus(predicted[c]));
-            }
+            self.miss(work);
         }
         let (weighted, misfit) = tally(&expected, &work.packed, &work.missing);
         let parameters = |lane: usize| work.found.iter().flat_map(move |rgb| rgb.map(|c| c.0[lane]));
@@ -283,6 +277,31 @@ impl Smooth {
         fits.collect()
     }
 
+    /// What the views saw more than `work.found` predicts.
+    fn miss(&self, work: &mut Work) {
+        let Work { packed, room, missing, predicted, found, .. } = work;
+        predict(&self.rule, packed, found, room, predicted);
+        missing.clear();
+        let both = packed.radiance.iter().zip(predicted.iter());
+        missing.extend(both.map(|(seen, predicted)| minus(seen, predicted)));
+    }
+
+    /// Begins a search: with the coefficients of the group before, which lies beside this one, where they are like it, else with none.
+    fn begin(&self, work: &mut Work) {
+        self.miss(work);
+        let Work { packed, missing, found, prior, .. } = work;
+        matrix_product(&self.prior_single, found, prior);
+        let objective = plus(&energy(&packed.weight, missing), &inner(found, prior));
+        let energy = energy(&packed.weight, &packed.radiance);
+        for c in 0..3 {
+            for i in (0..LANES).filter(|i| !(objective[c].0[*i] < LIKE * energy[c].0[*i])) {
+                found.iter_mut().for_each(|found| found[c].0[i] = 0.0);
+                let both = missing.iter_mut().zip(&packed.radiance);
+                both.for_each(|(missing, seen)| missing[c].0[i] = seen[c].0[i]);
+            }
+        }
+    }
+
     /// Conjugate gradients from `work.found`, for which `work.missing` is what the views saw more than it predicts.
     fn search(&self, shared: &Shared, views: &Lane, work: &mut Work) -> [bool; LANES] {
         let Work { packed, room, missing, predicted, found, residue, step, product, prior, turned, .. } =
@@ -290,41 +309,58 @@ impl Smooth {
         transposed_product(&self.rule, packed, missing, room, residue);
         matrix_product(&self.prior_single, found, prior);
         let mut objective = plus(&energy(&packed.weight, missing), &inner(found, prior));
-        let energy = energy(&packed.weight, &packed.radiance);
+        let whole = energy(&packed.weight, &packed.radiance);
         residue.iter_mut().zip(prior.iter()).for_each(|(to, from)| *to = minus(to, from));
         matrix_product(&shared.inverse, residue, turned);
         step.copy_from_slice(turned);
         let mut height = inner(residue, turned);
-        let mut converged = [false; LANES];
+        let reached = |left: &Rgb, objective: &Rgb| -> [bool; LANES] {
+            std::array::from_fn(|i| {
+                (0..3).all(|c| {
+                    let noise = objective[c].0[i].max(0.0) * shared.freedom / views.0[i].max(1.0);
+                    left[c].0[i] <= ACCURACY * ACCURACY * noise + 1e-10 * whole[c].0[i]
+                })
+            })
+        };
+        let mut converged = reached(&height, &objective);
+        // What a step leaves of `height`.
+        let mut fall = [Lane([1.0; LANES]); 3];
         for _ in 0..STEPS {
-            normal_product(&self.rule, packed, step, room, predicted, product);
-            matrix_product(&self.prior_single, step, prior);
-            product.iter_mut().zip(prior.iter()).for_each(|(to, from)| *to = plus(to, from));
-            let curve = inner(step, product);
+            if converged == [true; LANES] {
+                break;
+            }
+            let foretold: Rgb =
+                std::array::from_fn(|c| height[c].times(fall[c]).times(Lane::splat(FORETOLD)));
+            let last = reached(&foretold, &objective) == [true; LANES];
+            let curve = if last {
+                predict(&self.rule, packed, step, room, predicted);
+                matrix_product(&self.prior_single, step, prior);
+                plus(&energy(&packed.weight, predicted), &inner(step, prior))
+            } else {
+                normal_product(&self.rule, packed, step, room, predicted, product);
+                matrix_product(&self.prior_single, step, prior);
+                product.iter_mut().zip(prior.iter()).for_each(|(to, from)| *to = plus(to, from));
+                inner(step, product)
+            };
             let length: Rgb = std::array::from_fn(|c| ratio(height[c], curve[c]));
             advance(found, step, &length);
             let back = length.map(|l| Lane::ZERO.minus(l));
-            advance(residue, product, &back);
             advance(missing, predicted, &back);
+            if last {
+                return [true; LANES];
+            }
+            advance(residue, product, &back);
             for c in 0..3 {
                 objective[c] = objective[c].minus(length[c].times(height[c]));
             }
             matrix_product(&shared.inverse, residue, turned);
             let left = inner(residue, turned);
-            converged = std::array::from_fn(|i| {
-                (0..3).all(|c| {
-                    let noise = objective[c].0[i].max(0.0) * shared.freedom / views.0[i].max(1.0);
-                    left[c].0[i] <= ACCURACY * ACCURACY * noise + 1e-10 * energy[c].0[i]
-                })
-            });
-            if converged == [true; LANES] {
-                break;
-            }
+            converged = reached(&left, &objective);
             let turn: Rgb = std::array::from_fn(|c| ratio(left[c], height[c]));
             for (step, turned) in step.iter_mut().zip(turned.iter()) {
                 *step = std::array::from_fn(|c| turned[c].plus(step[c].times(turn[c])));
             }
-            height = left;
+            (height, fall) = (left, turn);
         }
         converged
     }
