@@ -11,8 +11,13 @@ use std::time::SystemTime;
 use glam::{DQuat, DVec3};
 use rigel_protocol::{Orientation, Record};
 
+mod records;
+mod smooth;
+mod track;
 mod watch;
 
+pub use smooth::rotation_vector;
+pub use track::{Jump, Track, Turned};
 pub use watch::{StationSummary, Summary, Watch};
 
 /// A tracker's record with the host's time, in the world's frame.
