@@ -15,6 +15,7 @@ mod mosaic;
 mod plate;
 mod reduce;
 mod shots;
+mod tracked;
 mod warp;
 
 pub use lights::{Light, Lights, Method, lights};
@@ -22,5 +23,6 @@ pub use map::{EnvironmentMap, Flag};
 pub use merge::{Merged, Options as MergeOptions, merge};
 pub use mosaic::{Mosaic, Options, Placed, mosaic};
 pub use plate::{Noise, Plate};
-pub use shots::{Shot, Shots};
+pub use shots::{Shot, Shots, Tracking};
+pub use tracked::{Tracked, TrackerFit};
 pub use warp::{Filter, Sphere};

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Deserializer, Serializer};
 
-use glam::DVec2;
+use glam::{DQuat, DVec2};
 
 use crate::geometry::{BoardSize, Surface, Texels};
 use crate::{Error, Result};
@@ -66,6 +66,23 @@ pub fn parse_surface(text: &str) -> Result<Surface> {
     let unit = height.trim_start_matches(|c: char| !c.is_alphabetic());
     let width = if width.ends_with('m') { width.to_owned() } else { format!("{width}{unit}") };
     Ok(Surface { width_m: parse_length_m(&width)?, height_m: parse_length_m(height)? })
+}
+
+/// Reads a rotation as its unit quaternion, `w,x,y,z`.
+///
+/// # Errors
+/// [`Error::Request`] when it is not four numbers whose squares add up to 1 (to 2 %).
+pub fn parse_quaternion(text: &str) -> Result<DQuat> {
+    let numbers: Vec<f64> = text.split(',').filter_map(|part| part.trim().parse().ok()).collect();
+    match numbers[..] {
+        [w, x, y, z] if ((w * w + x * x + y * y + z * z) - 1.0).abs() < 0.02 => {
+            Ok(DQuat::from_xyzw(x, y, z, w).normalize())
+        }
+        _ => Err(Error::request(
+            format!("'{text}' is not the quaternion of a rotation"),
+            "write w,x,y,z, as 1,0,0,0 for no rotation at all",
+        )),
+    }
 }
 
 /// Reads a number of texels, `512x512`: columns, then rows.

@@ -89,7 +89,7 @@ fn shots_of(folder: &Path, room: &Room, noise_rad: f64, tone: fn(f64) -> f64) ->
             truth.push(turn);
         }
     }
-    (Shots { shots, lens: Some(lens) }, truth)
+    (Shots { shots, lens: Some(lens), tracker: None }, truth)
 }
 
 fn options(refine: bool) -> Options {
@@ -203,7 +203,7 @@ fn a_strip_lower_than_a_block_is_no_trouble() {
         // Rolled, as it would lie between two of the map's rows otherwise.
         Shot { path, world_from_camera: DQuat::from_rotation_z(0.3), sigma_rad: None, exposure: None }
     };
-    let shots = Shots { shots: vec![shot("a.png"), shot("b.png")], lens: None };
+    let shots = Shots { shots: vec![shot("a.png"), shot("b.png")], lens: None, tracker: None };
     let options = Options { field_of_view_rad: Some(1.0), ..options(true) };
     let made = mosaic(&shots, &options, &Silent).unwrap();
     assert!(made.map.coverage.contains(&2) && made.map.flags.contains(&0));
@@ -288,6 +288,7 @@ fn what_cannot_become_a_map_is_refused_in_a_sentence() {
     let few = |which: &[usize]| Shots {
         shots: which.iter().map(|&i| shots.shots[i].clone()).collect(),
         lens: shots.lens,
+        tracker: None,
     };
     refused(&few(&[0]), &options(false), "at least two");
     refused(&few(&[0, 30]), &options(false), "none of the 2 photographs");

@@ -7,7 +7,8 @@ use glam::DVec2;
 use rigel::calibration::BoardSize;
 use rigel::geometry::{Surface, Texels};
 use rigel::units::{
-    parse_board, parse_degrees, parse_length_m, parse_part, parse_patch, parse_surface, parse_texels,
+    parse_board, parse_degrees, parse_length_m, parse_part, parse_patch, parse_quaternion, parse_surface,
+    parse_texels,
 };
 
 /// Captures how a surface looks from every direction and fits the smallest model that reproduces it.
@@ -70,8 +71,22 @@ pub struct Chart {
 
 #[derive(Args)]
 pub struct Mosaic {
-    /// Folder with frames.json or frames.csv, or such a file: photographs and how the camera was turned
+    /// Folder with frames.json or frames.csv, or such a file: photographs and how the camera was turned, or when (file,time_s) with a tracker's
+    /// records beside them (tracker.jsonl, or tracker.csv with time_s,qw,qx,qy,qz)
     pub shots: PathBuf,
+    /// The records of the tracker whose receiver was on the camera [default: those beside the photographs]
+    #[arg(long, value_name = "FILE")]
+    pub tracker: Option<PathBuf>,
+    /// Which receiver was on the camera [default: the only one]
+    #[arg(long, value_parser = clap::value_parser!(u8).range(1..=2))]
+    pub receiver: Option<u8>,
+    /// How long before its time a photograph was taken, seconds [default: the photographs tell]
+    #[arg(long = "delay", value_name = "SECONDS", allow_negative_numbers = true)]
+    pub delay_s: Option<f64>,
+    /// How the receiver sits on the camera: the quaternion w,x,y,z that takes the camera's axes (y up) to the receiver's [default: within a
+    /// few degrees of straight, the photographs tell]
+    #[arg(long, value_name = "W,X,Y,Z", value_parser = parse_quaternion, allow_hyphen_values = true)]
+    pub mount: Option<glam::DQuat>,
     /// The map
     #[arg(long, default_value = "map.exr")]
     pub out: PathBuf,

@@ -5,6 +5,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, Matrix3x2, Vector3};
 use rayon::prelude::*;
 
 use super::features::{Corners, Gray, matches};
+use super::tracked::Pair;
 use crate::Result;
 use crate::geometry::Lens;
 use crate::progress::Progress;
@@ -21,6 +22,7 @@ const AGREE_PX: f64 = 1.5;
 const ROUNDS: usize = 18;
 
 /// What is known before.
+#[derive(Clone, Copy)]
 pub(super) struct Prior {
     pub turn: DQuat,
     pub sigma_rad: f64,
@@ -36,7 +38,12 @@ pub(super) struct Aligned {
     pub lens: Lens,
     /// Median distance of matched corners, radians; 0 where there are none.
     pub residual_rad: f64,
+    /// Whether matches link a photograph with most others that they link.
+    pub is_linked: Vec<bool>,
 }
+
+/// Tells what is known beforehand anew, with what the photographs told of each other: a tracker's delay, for one.
+pub(super) type Refit<'a> = Option<&'a mut dyn FnMut(&Aligned) -> Vec<Prior>>;
 
 struct Match {
     frames: [usize; 2],
@@ -47,17 +54,19 @@ struct Match {
 /// Refines orientations and, within `focal_sigma` (relative) and `k1_sigma`, the lens.
 pub(super) fn align(
     mut grays: Vec<Gray>,
-    priors: &[Prior],
+    corners: &[Corners],
+    mut priors: Vec<Prior>,
     (focal_sigma, k1_sigma): (f64, f64),
+    mut refit: Refit,
     progress: &dyn Progress,
 ) -> Result<Aligned> {
-    let corners: Vec<Corners> = grays.par_iter().map(Gray::corners).collect();
     let mut state = Aligned {
         turns: priors.iter().map(|prior| prior.turn).collect(),
         sigma_rad: priors.iter().map(|prior| prior.sigma_rad).collect(),
         matched: vec![0; priors.len()],
         lens: grays[0].lens,
         residual_rad: 0.0,
+        is_linked: vec![false; priors.len()],
     };
     let start = state.lens;
     // The second search knows better where to look.
@@ -93,11 +102,88 @@ pub(super) fn align(
             })
             .collect::<Result<_>>()?;
         let all: Vec<Match> = found.into_iter().flatten().collect();
-        adjust(&mut state, priors, &all, &start, (focal_sigma, k1_sigma));
+        adjust(&mut state, &priors, &all, &start, (focal_sigma, k1_sigma));
         state.matched.fill(0);
         all.iter().flat_map(|m| m.frames).for_each(|frame| state.matched[frame] += 1);
+        state.is_linked = linked(priors.len(), &all);
+        if let Some(refit) = &mut refit {
+            priors = refit(&state);
+            if state.is_linked.iter().all(|linked| *linked) {
+                continue;
+            }
+            for (i, prior) in priors.iter().enumerate().filter(|(i, _)| !state.is_linked[*i]) {
+                state.turns[i] = prior.turn;
+                state.sigma_rad[i] = prior.sigma_rad;
+            }
+            if search == 1 {
+                adjust(&mut state, &priors, &all, &start, (focal_sigma, k1_sigma));
+            }
+        }
     }
     Ok(state)
+}
+
+/// The turn between two photographs by their corners, where it is `expected` to within `doubt` (standard deviation, radians).
+pub(super) fn between(
+    grays: [&Gray; 2],
+    corners: [&Corners; 2],
+    photographs: [usize; 2],
+    (expected, doubt): (DQuat, f64),
+) -> Option<Pair> {
+    let lens = grays[0].lens;
+    let reach = (3.0 * doubt).max(8.0 / lens.fx);
+    let found = matches((grays[0], corners[0]), (grays[1], corners[1]), expected, reach);
+    let found: Vec<[DVec2; 2]> = found.iter().map(|&(a, b)| [corners[0].at[a], corners[1].at[b]]).collect();
+    let kept = agreeing(&lens, &found, expected, 3.5 * doubt + AGREE_RAD);
+    let seen: Vec<[DVec3; 2]> = kept
+        .iter()
+        .filter_map(|&i| Some([lens.unproject(found[i][0])?, lens.unproject(found[i][1])?]))
+        .collect();
+    if seen.len() < FEWEST {
+        return None;
+    }
+    let mut turn = expected;
+    let mut squares = 0.0;
+    let mut inverse = Matrix3::identity();
+    for _ in 0..6 {
+        let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
+        squares = 0.0;
+        for [first, second] in &seen {
+            let off = *first - turn * *second;
+            squares += off.length_squared();
+            let by = by_turn(turn, *second);
+            normal += by.transpose() * by;
+            right += by.transpose() * Vector3::new(off.x, off.y, off.z);
+        }
+        inverse = normal.try_inverse()?;
+        let step = inverse * right;
+        turn = (turn * DQuat::from_scaled_axis(DVec3::new(step.x, step.y, step.z))).normalize();
+    }
+    // Each corner has two angles; cameras in hands add what corners agree on.
+    let corner = squares / (2.0 * seen.len() as f64 - 3.0).max(1.0);
+    let sigma_rad = (inverse.trace() / 3.0 * corner).sqrt().hypot(AGREE_RAD / 8.0);
+    Some(Pair { photographs, turn, sigma_rad })
+}
+
+/// Of the groups of photographs that matches link, the largest.
+fn linked(count: usize, all: &[Match]) -> Vec<bool> {
+    let mut group: Vec<usize> = (0..count).collect();
+    fn root(group: &mut [usize], mut i: usize) -> usize {
+        while group[i] != i {
+            group[i] = group[group[i]];
+            i = group[i];
+        }
+        i
+    }
+    for m in all {
+        let [a, b] = m.frames.map(|frame| root(&mut group, frame));
+        group[a] = b;
+    }
+    let roots: Vec<usize> = (0..count).map(|i| root(&mut group, i)).collect();
+    let mut members = vec![0; count];
+    roots.iter().for_each(|&root| members[root] += 1);
+    let largest = (0..count).max_by_key(|&i| (members[i], count - i)).unwrap_or_default();
+    roots.iter().map(|&root| root == largest && members[root] > 1).collect()
 }
 
 /// The matches that agree on one rotation, if enough do: the best of the rotations by two matches.

@@ -5,11 +5,12 @@ use std::path::PathBuf;
 use glam::DQuat;
 use rayon::prelude::*;
 
-use super::align::{Aligned, Prior, align};
-use super::features::Gray;
+use super::align::{Aligned, Prior, align, between};
+use super::features::{Corners, Gray};
 use super::gain::{Blocks, Photometry, shade_r2, solve};
 use super::map::EnvironmentMap;
 use super::shots::Shots;
+use super::tracked::{Known, Pair, Tracked, TrackerFit};
 use super::{Filter, MergeOptions, Noise, Plate, Sphere, merge};
 use crate::geometry::{LatLong, Lens};
 use crate::picture::Picture;
@@ -55,6 +56,9 @@ pub struct Placed {
     pub gain: [f64; 3],
     /// The gain's relative standard deviation (green).
     pub gain_sigma: f64,
+    /// What the tracker says by itself, camera frame to the world, once its delay, mount and drift are known, and how sure that is about each
+    /// axis, radians; `None` where there is none.
+    pub tracked: Option<(DQuat, f64)>,
 }
 
 /// A map and how it came about.
@@ -67,6 +71,8 @@ pub struct Mosaic {
     pub lens: Lens,
     /// Median distance of matched corners, radians.
     pub residual_rad: f64,
+    /// What the photographs told of the tracker, where there is one.
+    pub tracker: Option<TrackerFit>,
     /// What the user should know.
     pub notes: Vec<String>,
 }
@@ -91,6 +97,10 @@ pub fn mosaic(shots: &Shots, options: &Options, progress: &dyn Progress) -> Resu
             format!("a map of {} photograph", all.len()),
             "give at least two photographs that overlap",
         ));
+    }
+    if let Some(tracker) = shots.tracker.as_ref().filter(|tracker| tracker.times_s.len() != all.len()) {
+        let what = format!("{} photographs and the times of {}", all.len(), tracker.times_s.len());
+        return Err(Error::request(what, "give a tracked photograph its time"));
     }
     let steps = 4 * all.len();
     let counted = std::sync::atomic::AtomicUsize::new(0);
@@ -132,32 +142,7 @@ pub fn mosaic(shots: &Shots, options: &Options, progress: &dyn Progress) -> Resu
     }
     let noise = NoiseModel::assumed(&response);
 
-    let priors: Vec<Prior> = all
-        .iter()
-        .map(|shot| Prior {
-            turn: shot.world_from_camera,
-            sigma_rad: shot.sigma_rad.unwrap_or(options.sigma_rad).max(1e-5),
-        })
-        .collect();
-    let aligned = if options.refine {
-        let white = f32::from(first.white) * 3.0;
-        let gray = |picture: &Picture| {
-            let level =
-                |i: usize| picture.levels[i].iter().map(|&level| f32::from(level)).sum::<f32>() / white;
-            Gray::new(&lens, level, GRAY)
-        };
-        let grays: Vec<Gray> = pictures.par_iter().map(gray).collect();
-        let doubt = if calibrated { (0.005, 0.005) } else { (0.05, 0.05) };
-        align(grays, &priors, doubt, progress)?
-    } else {
-        Aligned {
-            turns: priors.iter().map(|prior| prior.turn).collect(),
-            sigma_rad: priors.iter().map(|prior| prior.sigma_rad).collect(),
-            matched: vec![0; all.len()],
-            lens,
-            residual_rad: 0.0,
-        }
-    };
+    let (aligned, known) = orient(shots, options, (&pictures, &lens, calibrated), progress)?;
     let grown = if options.refine { aligned.lens.fx / gray_fx(&lens) } else { 1.0 };
     let lens = Lens { fx: lens.fx * grown, fy: lens.fy * grown, k1: aligned.lens.k1, ..lens };
     let unmatched: Vec<String> = all
@@ -168,10 +153,23 @@ pub fn mosaic(shots: &Shots, options: &Options, progress: &dyn Progress) -> Resu
         .collect();
     if options.refine && !unmatched.is_empty() {
         notes.push(format!(
-            "no corner of {} was found in another photograph: the orientation given stands",
-            unmatched.join(", ")
+            "no corner of {} was found in another photograph: the orientation {} stands",
+            unmatched.join(", "),
+            if shots.tracker.is_some() { "by the tracker" } else { "given" }
         ));
     }
+    let tracked: Vec<Option<(DQuat, f64)>> = (0..all.len())
+        .map(|i| {
+            let Prior { turn, sigma_rad } = shots.tracker.as_ref()?.place(i, known.as_ref()?);
+            Some((turn, sigma_rad))
+        })
+        .collect();
+    let tracker = shots.tracker.as_ref().zip(known.as_ref()).map(|(tracker, known)| {
+        let names: Vec<String> = all.iter().map(|shot| shot.name()).collect();
+        let (fit, told) = tracker.told(known, &names);
+        notes.splice(0..0, told);
+        fit
+    });
 
     let blocks: Vec<Blocks> =
         pictures.par_iter().map(|picture| blocks(picture, &lens, &response, &noise)).collect();
@@ -229,8 +227,70 @@ pub fn mosaic(shots: &Shots, options: &Options, progress: &dyn Progress) -> Resu
         matched: aligned.matched[i],
         gain: [0, 1, 2].map(|c| photometry[c].gains[i].exp()),
         gain_sigma: photometry[1].sigmas[i],
+        tracked: tracked[i],
     });
-    Ok(Mosaic { map, placed: placed.collect(), lens, residual_rad: aligned.residual_rad, notes })
+    Ok(Mosaic { map, placed: placed.collect(), lens, residual_rad: aligned.residual_rad, tracker, notes })
+}
+
+/// How the photographs were turned, and what that tells of their tracker.
+fn orient(
+    shots: &Shots,
+    options: &Options,
+    (pictures, lens, calibrated): (&[Picture], &Lens, bool),
+    progress: &dyn Progress,
+) -> Result<(Aligned, Option<Known>)> {
+    let tracker = shots.tracker.as_ref();
+    let mut known = tracker.map(Tracked::before);
+    let given = || -> Vec<Prior> {
+        let prior = |shot: &super::Shot| Prior {
+            turn: shot.world_from_camera,
+            sigma_rad: shot.sigma_rad.unwrap_or(options.sigma_rad).max(1e-5),
+        };
+        shots.shots.iter().map(prior).collect()
+    };
+    let tracked = |tracker: &Tracked, known: &Known| -> Vec<Prior> {
+        (0..shots.shots.len()).map(|i| tracker.place(i, known)).collect()
+    };
+    if !options.refine {
+        let priors =
+            tracker.zip(known.as_ref()).map_or_else(given, |(tracker, known)| tracked(tracker, known));
+        let aligned = Aligned {
+            turns: priors.iter().map(|prior| prior.turn).collect(),
+            sigma_rad: priors.iter().map(|prior| prior.sigma_rad).collect(),
+            matched: vec![0; priors.len()],
+            lens: *lens,
+            residual_rad: 0.0,
+            is_linked: vec![false; priors.len()],
+        };
+        return Ok((aligned, known));
+    }
+    let white = f32::from(pictures[0].white) * 3.0;
+    let gray = |picture: &Picture| {
+        let level = |i: usize| picture.levels[i].iter().map(|&level| f32::from(level)).sum::<f32>() / white;
+        Gray::new(lens, level, GRAY)
+    };
+    let grays: Vec<Gray> = pictures.par_iter().map(gray).collect();
+    let corners: Vec<Corners> = grays.par_iter().map(Gray::corners).collect();
+    let doubt = if calibrated { (0.005, 0.005) } else { (0.05, 0.05) };
+    let (Some(tracker), Some(known)) = (tracker, &mut known) else {
+        return Ok((align(grays, &corners, given(), doubt, None, progress)?, None));
+    };
+    let pair = |i: usize| {
+        let expected = tracker.expected([i, i + 1], known);
+        between([&grays[i], &grays[i + 1]], [&corners[i], &corners[i + 1]], [i, i + 1], expected)
+    };
+    let pairs: Vec<Pair> = (0..grays.len() - 1).into_par_iter().filter_map(pair).collect();
+    *known = tracker.from_pairs(&pairs);
+    let priors = tracked(tracker, known);
+    let mut refit = |aligned: &Aligned| {
+        let linked = (0..aligned.turns.len()).filter(|&i| aligned.is_linked[i]);
+        let views: Vec<(usize, DQuat)> = linked.map(|i| (i, aligned.turns[i])).collect();
+        *known = tracker.from_views(&views, known);
+        tracked(tracker, known)
+    };
+    let aligned = align(grays, &corners, priors, doubt, Some(&mut refit), progress)?;
+    let known = Some(known.clone());
+    Ok((aligned, known))
 }
 
 /// The focal length that [`Gray`] starts from.

@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 use glam::{DMat3, DQuat, DVec3};
 use serde::Deserialize;
 
+use super::tracked::Tracked;
 use crate::geometry::{Lens, world_from_camera};
+use crate::tracker::Track;
 use crate::{Error, Result};
 
 /// A photograph and what is known of it beforehand.
@@ -35,6 +37,21 @@ pub struct Shots {
     pub shots: Vec<Shot>,
     /// The lens that the file names.
     pub lens: Option<Lens>,
+    /// The tracker from which the orientations come, where they do.
+    pub tracker: Option<Tracked>,
+}
+
+/// A tracker whose receiver was on the camera: where its records are, and what is known of it.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Tracking {
+    /// Its records; else those beside the photographs, where their table says no orientations.
+    pub file: Option<PathBuf>,
+    /// The receiver: 1 or 2; else the one that there is.
+    pub receiver: Option<u8>,
+    /// How long before its time a photograph was taken, seconds; else the photographs tell.
+    pub delay_s: Option<f64>,
+    /// Takes the camera's axes (x right, y up, looking along -z) to the receiver's; else the photographs tell, if it is small.
+    pub mount: Option<DQuat>,
 }
 
 #[derive(Deserialize)]
@@ -53,6 +70,7 @@ struct Frame {
     qy: Option<f64>,
     qz: Option<f64>,
     sigma_deg: Option<f64>,
+    time_s: Option<f64>,
 }
 
 #[derive(Deserialize)]
@@ -66,8 +84,11 @@ struct Intrinsics {
     k2: f64,
 }
 
-const REMEDY: &str =
-    "give for each file yaw_deg, pitch_deg and roll_deg, R_world_from_cam, or the quaternion qw, qx, qy, qz";
+const REMEDY: &str = "give for each file yaw_deg, pitch_deg and roll_deg, R_world_from_cam, the quaternion qw, qx, qy, qz, or time_s and a tracker";
+/// Records beside photographs.
+const RECORDS: [&str; 2] = ["tracker.jsonl", "tracker.csv"];
+/// Orientations of the tracker that are less sure, about each axis, tell nothing, radians.
+const UNKNOWN_RAD: f64 = 0.17;
 
 impl Shots {
     /// Reads a folder with `frames.json` or `frames.csv`, or such a file; photographs are relative to its folder.
@@ -79,8 +100,19 @@ impl Shots {
     /// as the tracker's records have it. Both may have `exposure_s`, `iso`, `f_number` and `sigma_deg`.
     ///
     /// # Errors
-    /// [`Error::Io`] or [`Error::Input`] that names the photograph whose orientation is missing or is none.
+    /// See [`Self::read_tracked`].
     pub fn read(path: &Path) -> Result<Self> {
+        Self::read_tracked(path, &Tracking::default())
+    }
+
+    /// The same with a tracker: instead of orientations there may be `time_s`, seconds on the clock of a tracker's records ([`Track::read`]), in `tracker.jsonl` or
+    /// `tracker.csv` beside the photographs or where `tracking` says. A photograph of whose time they know nothing is left out, and named
+    /// in the notes.
+    ///
+    /// # Errors
+    /// [`Error::Io`] or [`Error::Input`] that names the photograph whose orientation is missing or is none, or whose time is earlier than that of
+    /// the one before; or what [`Track::read`] refuses.
+    pub fn read_tracked(path: &Path, tracking: &Tracking) -> Result<Self> {
         let names = ["frames.json", "frames.csv"];
         let file = if path.is_dir() {
             names.iter().map(|name| path.join(name)).find(|file| file.exists()).ok_or_else(|| {
@@ -113,13 +145,22 @@ impl Shots {
             let what = format!("lists {} twice", pair[0].display());
             return Err(Error::input(&file, what, "list each photograph once"));
         }
-        let shots = frames
+        let is_tracked = tracking.file.is_some()
+            || frames.iter().all(|frame| frame.time_s.is_some() && frame.orientation().is_none());
+        let tracker = (is_tracked && !frames.is_empty()).then(|| tracked(&frames, &file, folder, tracking));
+        let mut tracker = tracker.transpose()?;
+        let start = tracker.as_ref().map(Tracked::before);
+        let mut shots = frames
             .iter()
-            .map(|frame| {
+            .enumerate()
+            .map(|(i, frame)| {
                 let name = frame.file.display().to_string();
-                let turn = frame.orientation().ok_or_else(|| {
-                    Error::input(&file, format!("has no usable orientation of {name}"), REMEDY)
-                })?;
+                let tracked =
+                    tracker.as_ref().zip(start.as_ref()).map(|(tracker, start)| tracker.place(i, start));
+                let turn =
+                    tracked.map(|prior| prior.turn).or_else(|| frame.orientation()).ok_or_else(|| {
+                        Error::input(&file, format!("has no usable orientation of {name}"), REMEDY)
+                    })?;
                 let stated = [
                     ("exposure_s", frame.exposure_s),
                     ("iso", frame.iso),
@@ -139,7 +180,7 @@ impl Shots {
                 Ok(Shot {
                     path: folder.join(&frame.file),
                     world_from_camera: turn,
-                    sigma_rad: frame.sigma_deg.map(f64::to_radians),
+                    sigma_rad: tracked.map(|prior| prior.sigma_rad).or(frame.sigma_deg.map(f64::to_radians)),
                     exposure,
                 })
             })
@@ -147,8 +188,112 @@ impl Shots {
         if shots.is_empty() {
             return Err(Error::input(&file, "lists no photograph", "list at least two that overlap"));
         }
-        Ok(Self { shots, lens })
+        if let Some(tracker) = &mut tracker {
+            leave_out(&mut shots, tracker);
+            if shots.is_empty() {
+                let what = "was taken at no time of which the tracker's records know";
+                return Err(Error::input(&file, what, "give times and records by one clock, in seconds"));
+            }
+        }
+        Ok(Self { shots, lens, tracker })
     }
+}
+
+/// The tracker of frames with times.
+fn tracked(frames: &[Frame], file: &Path, folder: &Path, tracking: &Tracking) -> Result<Tracked> {
+    let name = |frame: &Frame| frame.file.display().to_string();
+    let mut times_s: Vec<f64> = vec![];
+    for frame in frames {
+        let Some(time_s) = frame.time_s.filter(|time| time.is_finite()) else {
+            let what = format!("has no time_s of {}", name(frame));
+            return Err(Error::input(file, what, "give every photograph its time on the tracker's clock"));
+        };
+        if let Some(before) = times_s.last().filter(|before| **before > time_s) {
+            let what = format!(
+                "has {} at {time_s:.4} s, {:.4} s earlier than the photograph before",
+                name(frame),
+                before - time_s
+            );
+            return Err(Error::input(
+                file,
+                what,
+                "list photographs as they were taken, with times that never run backwards",
+            ));
+        }
+        times_s.push(time_s);
+    }
+    let records = match &tracking.file {
+        Some(records) => records.clone(),
+        None => RECORDS.iter().map(|name| folder.join(name)).find(|records| records.exists()).ok_or_else(|| {
+            let what = "has times and no orientations, and there is neither tracker.jsonl nor tracker.csv beside it";
+            Error::input(file, what, "name the tracker's records with --tracker")
+        })?,
+    };
+    let track = Track::read(&records, tracking.receiver)?;
+    Ok(Tracked { track, times_s, delay_s: tracking.delay_s, mount: tracking.mount, notes: vec![] })
+}
+
+/// Leaves out photographs of which the tracker knows nothing, and notes what is wrong with its records.
+fn leave_out(shots: &mut Vec<Shot>, tracker: &mut Tracked) {
+    let (first_s, last_s) = tracker.track.span_s();
+    let delay_s = tracker.delay_s.unwrap_or(0.0);
+    let names = |which: &dyn Fn(f64) -> bool| -> Vec<String> {
+        let both = shots.iter().zip(&tracker.times_s);
+        both.filter(|(_, time_s)| which(**time_s - delay_s)).map(|(shot, _)| shot.name()).collect()
+    };
+    let unknown = |time_s: f64| tracker.track.at(time_s).sigma_rad > UNKNOWN_RAD;
+    let is_outside = |time_s: f64| time_s < first_s || time_s > last_s;
+    let mut notes = vec![];
+    let mut tell = |names: Vec<String>, what: &str| {
+        if !names.is_empty() {
+            notes.push(format!("{}: {what}", names.join(", ")));
+        }
+    };
+    tell(
+        names(&|time_s| is_outside(time_s) && unknown(time_s)),
+        "taken when the tracker recorded nothing, left out",
+    );
+    tell(
+        names(&|time_s| is_outside(time_s) && !unknown(time_s)),
+        "taken a little before or after the tracker's records: other photographs decide how they were turned",
+    );
+    tell(
+        names(&|time_s| !is_outside(time_s) && unknown(time_s)),
+        "taken in a long gap of the tracker's records, left out",
+    );
+    for jump in &tracker.track.jumps {
+        let near = names(&|time_s| (time_s - jump.time_s).abs() < 1.0).join(", ");
+        notes.push(format!(
+            "the tracker jumped by {:.1} degrees at {:.3} s, {:.1} s after its first record{}: it was taken out to ± {:.1} degrees (is metal near it?)",
+            jump.size_rad.to_degrees(),
+            jump.time_s,
+            jump.time_s - first_s,
+            if near.is_empty() { String::new() } else { format!(", near {near}") },
+            jump.sigma_rad.to_degrees()
+        ));
+    }
+    for &(from_s, to_s) in &tracker.track.frozen_s {
+        let within = names(&|time_s| (from_s..to_s).contains(&time_s)).join(", ");
+        notes.push(format!(
+            "the tracker said the same for {:.2} s, {:.1} s after its first record{}: what lies before and after stands there, less sure",
+            to_s - from_s,
+            from_s - first_s,
+            if within.is_empty() { String::new() } else { format!(", in {within}") },
+        ));
+    }
+    if tracker.track.outliers() > 0 {
+        notes.push(format!(
+            "{} of the tracker's {} records lie far beside its path and were left out",
+            tracker.track.outliers(),
+            tracker.track.records
+        ));
+    }
+    let known: Vec<bool> = tracker.times_s.iter().map(|time_s| !unknown(time_s - delay_s)).collect();
+    let mut keep = known.iter();
+    shots.retain(|_| *keep.next().unwrap_or(&true));
+    let mut keep = known.iter();
+    tracker.times_s.retain(|_| *keep.next().unwrap_or(&true));
+    tracker.notes = notes;
 }
 
 /// Frames and lens of a `frames.json`.

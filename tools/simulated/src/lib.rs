@@ -6,4 +6,5 @@ pub mod rig;
 pub mod scene;
 pub mod squares;
 pub mod texture;
+pub mod tour;
 pub mod tracker;

@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use rigel::environment::{EnvironmentMap, MergeOptions, Options, Shot, Shots, mosaic as make};
+use rigel::environment::{
+    EnvironmentMap, MergeOptions, Options, Shot, Shots, TrackerFit, Tracking, mosaic as make,
+};
 use rigel::geometry::LatLong;
 use rigel::picture::Picture;
 use rigel::view_file::Calibration;
@@ -32,7 +34,26 @@ pub fn mosaic(arguments: &Mosaic) -> Result<()> {
             "give degrees above 0, or --no-refine for orientations that are right",
         ));
     }
-    let shots = Shots::read(&arguments.shots)?;
+    if let Some(delay_s) = arguments.delay_s.filter(|delay_s| delay_s.is_nan() || delay_s.abs() > 10.0) {
+        return Err(Error::request(
+            format!("--delay {delay_s} is no delay of a camera"),
+            "give seconds, such as 0.08",
+        ));
+    }
+    let tracking = Tracking {
+        file: arguments.tracker.clone(),
+        receiver: arguments.receiver,
+        delay_s: arguments.delay_s,
+        mount: arguments.mount,
+    };
+    let shots = Shots::read_tracked(&arguments.shots, &tracking)?;
+    if shots.tracker.is_none() && tracking != Tracking::default() {
+        return Err(Error::input(
+            &arguments.shots,
+            "says the orientations itself, so that no tracker is looked at",
+            "name the tracker's records with --tracker, or leave --receiver, --delay and --mount out",
+        ));
+    }
     for place in [Some(&arguments.out), picture.as_ref()].into_iter().flatten() {
         require_no_photograph(place, &shots)?;
     }
@@ -66,6 +87,9 @@ pub fn mosaic(arguments: &Mosaic) -> Result<()> {
             100.0 * placed.gain_sigma
         );
     }
+    if let Some(fit) = &made.tracker {
+        tell_tracker(fit, arguments);
+    }
     for note in &made.notes {
         say!("note: {note}");
     }
@@ -97,6 +121,28 @@ pub fn mosaic(arguments: &Mosaic) -> Result<()> {
         part(EnvironmentMap::LOWER_BOUND)
     );
     Ok(())
+}
+
+/// What was found of the tracker, or taken for granted.
+fn tell_tracker(fit: &TrackerFit, arguments: &Mosaic) {
+    let askew = fit.mount.to_axis_angle().1;
+    let askew = askew.min(std::f64::consts::TAU - askew);
+    say!(
+        "tracker: jitter {:.2} degrees, photographs {:.1} ± {:.1} ms late, receiver {:.2} ± {:.2} degrees askew (--mount {:.5},{:.5},{:.5},{:.5}), drift {}",
+        fit.noise_rad.to_degrees(),
+        1e3 * fit.delay_s,
+        1e3 * fit.delay_sigma_s,
+        askew.to_degrees(),
+        fit.mount_sigma_rad.to_degrees(),
+        fit.mount.w,
+        fit.mount.x,
+        fit.mount.y,
+        fit.mount.z,
+        match arguments.no_refine {
+            true => "not looked for".into(),
+            false => format!("{:.2} degrees", fit.drift_rad.to_degrees()),
+        }
+    );
 }
 
 /// Originals are never written over, `--force` or not.
