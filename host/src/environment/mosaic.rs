@@ -280,12 +280,12 @@ fn orient(
         between([&grays[i], &grays[i + 1]], [&corners[i], &corners[i + 1]], [i, i + 1], expected)
     };
     let pairs: Vec<Pair> = (0..grays.len() - 1).into_par_iter().filter_map(pair).collect();
-    *known = tracker.from_pairs(&pairs);
+    *known = tracker.known_by_pairs(&pairs);
     let priors = tracked(tracker, known);
     let mut refit = |aligned: &Aligned| {
         let linked = (0..aligned.turns.len()).filter(|&i| aligned.is_linked[i]);
         let views: Vec<(usize, DQuat)> = linked.map(|i| (i, aligned.turns[i])).collect();
-        *known = tracker.from_views(&views, known);
+        *known = tracker.known_by_views(&views, known);
         tracked(tracker, known)
     };
     let aligned = align(grays, &corners, priors, doubt, Some(&mut refit), progress)?;

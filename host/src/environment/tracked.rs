@@ -26,6 +26,8 @@ const DRIFT_RAD: f64 = 0.035;
 /// The drift bends this often, seconds, but not more often than so many times.
 const BEND_S: f64 = 5.0;
 const BENDS: f64 = 8.0;
+/// A jump is over in twice this, seconds.
+const JUMP_S: f64 = 0.005;
 /// A delay that is not known better than this cannot be told, seconds.
 const UNTOLD_S: f64 = 0.02;
 
@@ -83,7 +85,11 @@ impl Tracked {
         let (first_s, last_s) = (times_s.0.copied().unwrap_or(0.0), times_s.1.copied().unwrap_or(0.0));
         let pieces = ((last_s - first_s) / BEND_S).floor().clamp(1.0, BENDS) as usize;
         let bend = |k: usize| first_s + (last_s - first_s) * k as f64 / pieces as f64;
-        let bends_s: Vec<f64> = (0..=pieces).map(bend).collect();
+        let mut bends_s: Vec<f64> = (0..=pieces).map(bend).collect();
+        // What is not known of a jump is a step.
+        let jumps = self.track.jumps.iter().flat_map(|jump| [-JUMP_S, JUMP_S].map(|by| jump.time_s + by));
+        bends_s.extend(jumps.filter(|time_s| (first_s..last_s).contains(time_s)));
+        bends_s.sort_by(f64::total_cmp);
         let mut covariance = DMatrix::zeros(4 + 3 * bends_s.len(), 4 + 3 * bends_s.len());
         covariance[(0, 0)] = self.delay_sigma_s().powi(2);
         (1..4).for_each(|i| covariance[(i, i)] = self.mount_sigma_rad().powi(2));
@@ -126,8 +132,9 @@ impl Tracked {
 
     /// What the tracker says of a photograph, and how sure that is.
     pub(super) fn place(&self, photograph: usize, known: &Known) -> Prior {
-        let at = self.track.at(self.times_s[photograph] - known.delay_s);
-        let bends = known.bends(self.times_s[photograph]);
+        let taken_s = self.times_s[photograph] - known.delay_s;
+        let at = self.track.at(taken_s);
+        let bends = known.bends(taken_s);
         let turn = DQuat::from_scaled_axis(known.drift_at(bends)) * at.orientation * known.mount;
         let unsure = jacobian(known, turn, at.rate, bends);
         let variance = (&unsure * &known.covariance * unsure.transpose()).trace() / 3.0;

@@ -99,8 +99,9 @@ impl Smooth {
     /// those before it.
     pub fn new(records: &[(f64, DQuat)]) -> Self {
         let mut noise_rad = roughness_rad(records).max(LEAST_NOISE_RAD);
-        let span_s = records[records.len() - 1].0 - records[0].0;
-        let usual_s = (span_s / (records.len() - 1) as f64).max(1e-6);
+        let mut intervals_s: Vec<f64> = records.windows(2).map(|r| r[1].0 - r[0].0).collect();
+        intervals_s.sort_by(f64::total_cmp);
+        let usual_s = intervals_s[intervals_s.len() / 2].max(1e-6);
         // Strength times the cube of the interval, in variances of the noise.
         let strength =
             |ln_ratio: f64, noise_rad: f64| ln_ratio.exp() * noise_rad * noise_rad / usual_s.powi(3);

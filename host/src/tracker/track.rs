@@ -123,8 +123,11 @@ impl Track {
     }
 }
 
+/// When, and what.
+type Said = (f64, DQuat);
+
 /// The records without those that only repeat what was said, and where that was.
-fn thaw(records: &[(f64, DQuat)]) -> (Vec<(f64, DQuat)>, Vec<(f64, f64)>) {
+fn thaw(records: &[Said]) -> (Vec<Said>, Vec<(f64, f64)>) {
     let (mut alive, mut frozen) = (vec![], vec![]);
     for same in records.chunk_by(|a, b| a.1 == b.1) {
         let (first, last) = (same[0], same[same.len() - 1]);

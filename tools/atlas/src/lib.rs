@@ -1,9 +1,10 @@
 //! Speed against accuracy, and where each method breaks: every sweep makes charts, and a CSV of raw figures with the
 //! machine on which they were measured.
 //!
-//! One room for each part of the road: [`radiance`], [`lens`], [`poses`], [`fit`], [`mosaic`]. Each has a `sweep` of what can be chosen, and `regimes`
+//! One room for each part of the road: [`radiance`], [`lens`], [`poses`], [`fit`], [`mosaic`], [`environment`]. Each has a `sweep` of what can be chosen, and `regimes`
 //! in which something is wrong.
 
+mod environment;
 mod figures;
 mod fit;
 mod lens;
@@ -13,6 +14,7 @@ mod poses;
 mod radiance;
 mod table;
 
+pub use environment::sweep as environment;
 pub use fit::{Peers, breaks::error_at, hand_over, sweep as fit, texels};
 pub use lens::sweep as lens;
 pub use machine::{cpu_seconds, cpu_time, facts};

@@ -22,7 +22,7 @@ const PIECES: usize = 10;
 impl Tracked {
     /// What is known with the orientations (camera frame to the world) of these photographs, which are in the order of time. The delay's
     /// standard deviation is the larger of the adjustment's and the jackknife's over tenths of the session, as neighbours err alike.
-    pub(in crate::environment) fn from_views(&self, views: &[(usize, DQuat)], start: &Known) -> Known {
+    pub(in crate::environment) fn known_by_views(&self, views: &[(usize, DQuat)], start: &Known) -> Known {
         let before = self.before();
         if views.len() < FEWEST {
             return start.clone();
@@ -87,8 +87,9 @@ impl Tracked {
 
     /// How far a photograph is off what the tracker says, in its frame, with the variance of that and how what the tracker says changes.
     fn off(&self, photograph: usize, turn: DQuat, known: &Known) -> (DVec3, f64, DMatrix<f64>) {
-        let at = self.track.at(self.times_s[photograph] - known.delay_s);
-        let bends = known.bends(self.times_s[photograph]);
+        let taken_s = self.times_s[photograph] - known.delay_s;
+        let at = self.track.at(taken_s);
+        let bends = known.bends(taken_s);
         let said = DQuat::from_scaled_axis(known.drift_at(bends)) * at.orientation * known.mount;
         let off = rotation_vector(said.inverse() * turn);
         let variance = at.sigma_rad.powi(2) + CORNERS_RAD * CORNERS_RAD;

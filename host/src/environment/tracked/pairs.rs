@@ -37,7 +37,7 @@ impl Tracked {
     }
 
     /// Delay and mount from such pairs; as before where there are too few.
-    pub(in crate::environment) fn from_pairs(&self, pairs: &[Pair]) -> Known {
+    pub(in crate::environment) fn known_by_pairs(&self, pairs: &[Pair]) -> Known {
         let before = self.before();
         if pairs.len() < FEWEST {
             return before;
