@@ -64,3 +64,49 @@ fn orientations_and_places_that_cannot_be_used() {
         },
     ]);
 }
+
+const TIMED: &str = "file,time_s\na.png,10\nb.png,11\n";
+
+fn timed(folder: &Path) {
+    fs::write(folder.join("frames.csv"), TIMED).unwrap();
+}
+
+#[test]
+fn tracked_sessions_that_cannot_be_used() {
+    hold(&[
+        Case { spoil: timed, arguments: MOSAIC, names: &["frames.csv", "tracker.jsonl", "--tracker"] },
+        Case {
+            spoil: timed,
+            arguments: &["mosaic", "frames.csv", "--out", "map.exr", "--tracker", "none.jsonl"],
+            names: &["none.jsonl", "check the path"],
+        },
+        Case {
+            spoil: timed,
+            arguments: &["mosaic", "frames.csv", "--out", "map.exr", "--mount", "1,2,3"],
+            names: &["1,2,3", "w,x,y,z"],
+        },
+        Case {
+            spoil: timed,
+            arguments: &["mosaic", "frames.csv", "--out", "map.exr", "--delay", "80"],
+            names: &["--delay 80", "seconds"],
+        },
+        Case {
+            spoil: |folder| fs::write(folder.join("frames.csv"), TURNED).unwrap(),
+            arguments: &["mosaic", "frames.csv", "--out", "map.exr", "--delay", "0.1"],
+            names: &["frames.csv", "--tracker"],
+        },
+        Case {
+            spoil: |folder| {
+                timed(folder);
+                fs::write(folder.join("tracker.csv"), "time_s,qw,qx,qy,qz\n1,1,0,0,0\n0,1,0,0,0\n").unwrap();
+            },
+            arguments: MOSAIC,
+            names: &["tracker.csv", "line 3", "backwards"],
+        },
+        Case {
+            spoil: |folder| fs::write(folder.join("frames.csv"), TIMED.replace("11", "9")).unwrap(),
+            arguments: MOSAIC,
+            names: &["frames.csv", "b.png", "backwards"],
+        },
+    ]);
+}
