@@ -242,7 +242,7 @@ fn sessions_that_cannot_be_used_are_refused_in_a_sentence() {
     let other = Options { lens: Some(Lens::pinhole(640, 640, 500.0)), ..options(&tour, true) };
     assert!(mosaic(&shots, &other, &Silent).err().unwrap().to_string().contains("640x640"));
     // Photographs that have nothing in common.
-    let apart = Tour { photographs: 3, laps: 1.0, lens: Lens::pinhole(320, 240, 500.0), ..Tour::default() };
+    let apart = Tour { photographs: 3, laps: 0.7, lens: Lens::pinhole(320, 240, 500.0), ..Tour::default() };
     let folder = written(&apart);
     let shots = Shots::read(folder.path()).unwrap();
     let message = mosaic(&shots, &options(&apart, true), &Silent).err().unwrap().to_string();
