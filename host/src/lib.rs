@@ -29,6 +29,7 @@ pub mod report;
 pub mod rig;
 pub mod sampling;
 pub mod session;
+pub mod shader;
 pub mod tracker;
 pub mod units;
 pub mod view_file;
