@@ -33,5 +33,6 @@ pub mod shader;
 pub mod tracker;
 pub mod units;
 pub mod view_file;
+pub mod web;
 
 pub use error::{Error, Result};
