@@ -30,6 +30,7 @@ pub mod rig;
 pub mod sampling;
 pub mod session;
 pub mod shader;
+pub mod splats;
 pub mod tracker;
 pub mod units;
 pub mod view_file;
