@@ -16,6 +16,7 @@ pub mod evaluate;
 pub mod file;
 pub mod fit;
 pub mod geometry;
+pub mod info;
 pub mod measure;
 pub mod observation;
 pub mod parameter_map;
