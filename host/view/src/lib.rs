@@ -6,7 +6,9 @@ mod graphics;
 mod pipelines;
 mod plain;
 mod scene;
+mod window;
 
 pub use graphics::Graphics;
 pub use plain::Plain;
 pub use scene::{PICTURE, Scene, Shading, View};
+pub use window::{KEYS, Show, open};

@@ -54,6 +54,7 @@ pub struct Scene {
     surface: Surface,
     texels: Texels,
     scale: f32,
+    format: TextureFormat,
     /// The largest shininess, or what a basis can show that is as sharp.
     sharpness: f64,
     pipelines: Pipelines,
@@ -151,6 +152,7 @@ impl Scene {
             surface: map.surface,
             texels: map.texels,
             scale: packed.scale,
+            format,
             sharpness: sharpness(map),
             shade: group(&nothing.create_view(&Default::default())),
             draw: group(&shaded.create_view(&Default::default())),
@@ -159,6 +161,11 @@ impl Scene {
             uniform,
             levels,
         })
+    }
+
+    /// Whether pictures come with blue first.
+    pub(crate) fn is_blue_first(&self) -> bool {
+        matches!(self.format, TextureFormat::Bgra8Unorm | TextureFormat::Bgra8UnormSrgb)
     }
 
     /// Whether texels are shaded one by one in this view.
@@ -235,9 +242,10 @@ impl Scene {
         }
         graphics.require_size("the pixels of the picture", width, height)?;
         let usage = TextureUsages::RENDER_ATTACHMENT | TextureUsages::COPY_SRC;
-        let target = graphics.texture((width, height), 1, PICTURE, usage);
+        let target = graphics.texture((width, height), 1, self.format, usage);
         self.draw(graphics, view, &target.create_view(&Default::default()));
-        Ok(graphics.read(&target)?.chunks_exact(4).map(|pixel| [pixel[0], pixel[1], pixel[2]]).collect())
+        let order = if self.is_blue_first() { [2, 1, 0] } else { [0, 1, 2] };
+        Ok(graphics.read(&target)?.chunks_exact(4).map(|pixel| order.map(|c| pixel[c])).collect())
     }
 }
 

@@ -2,12 +2,14 @@
 
 use std::path::Path;
 
+use rigel::evaluate::session_references;
 use rigel::parameter_map::ParameterMap;
 use rigel::progress::Silent;
 use rigel::render;
+use rigel::session::Session;
 use rigel::shader::Look;
 use rigel::{Error, Result, file};
-use rigel_view::{Graphics, PICTURE, Scene, Shading};
+use rigel_view::{Graphics, KEYS, PICTURE, Scene, Shading, Show, open};
 
 use crate::arguments::{ShadingChoice, View};
 use crate::say::say;
@@ -22,10 +24,30 @@ pub fn view(arguments: &View) -> Result<()> {
     let maps: Vec<ParameterMap> =
         arguments.maps.iter().map(|path| ParameterMap::read(path)).collect::<Result<_>>()?;
     let view = first_view(arguments, &maps[0])?;
-    match &arguments.screenshot {
-        Some(out) => screenshot(&maps[0], &view, out),
-        None => Err(Error::request("no window is built in yet", "give --headless --screenshot FILE")),
+    if let Some(out) = arguments.screenshot.as_ref().filter(|_| arguments.headless) {
+        return screenshot(&maps[0], &view, out);
     }
+    let session = arguments.session.as_deref().map(Session::open).transpose()?;
+    let seen = session.as_ref().map_or_else(Vec::new, Session::done_views);
+    let names =
+        arguments.maps.iter().map(|path| path.file_stem().unwrap_or_default().to_string_lossy().into_owned());
+    KEYS.iter().for_each(|line| say!("{line}"));
+    open(Show {
+        maps: names.zip(maps).collect(),
+        view,
+        photographs: seen.len(),
+        photograph: Box::new(move |index| {
+            let session = session
+                .as_ref()
+                .ok_or_else(|| Error::request("no session to step through", "give --session"))?;
+            let mut reference = session_references(session, &seen[index..=index])?;
+            reference
+                .pop()
+                .ok_or_else(|| Error::request("the view has no photograph", "run `rigel radiance`"))
+        }),
+        screenshot: arguments.screenshot.clone().unwrap_or_else(|| "rigel-view.png".into()),
+        at_once: arguments.screenshot.is_some(),
+    })
 }
 
 fn first_view(arguments: &View, map: &ParameterMap) -> Result<rigel_view::View> {
