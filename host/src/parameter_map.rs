@@ -2,6 +2,7 @@
 
 mod coverage;
 mod exchange;
+mod facts;
 mod fitted;
 mod memory;
 mod resolution;

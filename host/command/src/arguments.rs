@@ -1,5 +1,7 @@
 //! What can be typed.
 
+mod show;
+
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -10,6 +12,10 @@ use rigel::units::{
     parse_board, parse_degrees, parse_length_m, parse_part, parse_patch, parse_quaternion, parse_surface,
     parse_texels,
 };
+
+pub use show::{Camera, Export, Info};
+#[cfg(feature = "viewer")]
+pub use show::{ShadingChoice, View};
 
 /// Captures how a surface looks from every direction and fits the smallest model that reproduces it.
 #[derive(Parser)]
@@ -49,6 +55,13 @@ pub enum Verb {
     Plan(Plan),
     /// See a parameter map from a camera: OpenEXR or PNG
     Render(Render),
+    /// See parameter maps in a window, or as the graphics device draws them
+    #[cfg(feature = "viewer")]
+    View(View),
+    /// Give parameter maps to others: a web page, or Gaussian splats
+    Export(Export),
+    /// Tell what a file is and where it came from
+    Info(Info),
     /// Compare a parameter map with views that it has not seen: a table, CSV and difference pictures
     Evaluate(Evaluate),
     /// Put photographs taken on the spot on a sphere: an OpenEXR map of the radiance from every direction
@@ -500,27 +513,8 @@ pub struct Render {
     /// The picture: .png or .exr
     #[arg(long, default_value = "render.png")]
     pub out: PathBuf,
-    /// Camera from a TOML or JSON file: fx fy cx cy width height, centre (mm), forward, up
-    #[arg(long, conflicts_with_all = ["pan", "tilt"])]
-    pub camera: Option<PathBuf>,
-    /// Where the camera file has the centre of the first pixel: 0 as OpenCV, or 0.5
-    #[arg(long, default_value_t = 0.0)]
-    pub pixel_centre: f64,
-    /// Pan of the rig, degrees
-    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true, value_parser = parse_degrees)]
-    pub pan: f64,
-    /// Tilt of the rig, degrees
-    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true, value_parser = parse_degrees)]
-    pub tilt: f64,
-    /// Distance from the rig's centre to the camera [default: four times the surface's longer side]
-    #[arg(long, value_parser = parse_length_m)]
-    pub distance: Option<f64>,
-    /// Columns and rows of pixels; not with --camera, which has its own
-    #[arg(long, default_value = "800x600", value_parser = parse_texels)]
-    pub size: Texels,
-    /// Gamma of the exposure function y = 1 - exp(-gamma x) of a PNG [default: half grey for the median]
-    #[arg(long, value_parser = parse_gamma)]
-    pub gamma: Option<f32>,
+    #[command(flatten)]
+    pub camera: Camera,
 }
 
 #[derive(Args)]

@@ -32,6 +32,10 @@ fn main() -> ExitCode {
         Verb::Fit(arguments) => verbs::fit(&arguments),
         Verb::Plan(arguments) => verbs::plan(&arguments),
         Verb::Render(arguments) => verbs::render(&arguments),
+        #[cfg(feature = "viewer")]
+        Verb::View(arguments) => verbs::view(&arguments),
+        Verb::Export(arguments) => verbs::export(&arguments),
+        Verb::Info(arguments) => verbs::info(&arguments),
         Verb::Evaluate(arguments) => verbs::evaluate(&arguments),
         Verb::Mosaic(arguments) => verbs::mosaic(&arguments),
         Verb::Lights(arguments) => verbs::lights(&arguments),

@@ -2,27 +2,36 @@
 
 mod bench;
 mod calibrate;
+mod camera;
 mod capture;
 mod chart;
 mod demo;
+mod export;
 mod fit;
 mod import;
+mod info;
 mod lights;
 mod mosaic;
 mod plan;
 mod register;
+#[cfg(feature = "viewer")]
+mod view;
 
 pub use bench::{devices, rig, tracker};
 pub use calibrate::calibrate;
 pub use capture::{capture, collect};
 pub use chart::chart;
 pub use demo::demo;
+pub use export::export;
 pub use fit::{evaluate, fit, render};
 pub use import::{import, observe, radiance};
+pub use info::info;
 pub use lights::lights;
 pub use mosaic::mosaic;
 pub use plan::plan;
 pub use register::register;
+#[cfg(feature = "viewer")]
+pub use view::view;
 
 use std::path::Path;
 

@@ -23,6 +23,7 @@ use nalgebra::{Cholesky, DMatrix, DVector};
 
 use super::voronoi;
 pub(super) use basis::Basis;
+pub(crate) use basis::Written;
 pub use smooth::{Smooth, SmoothFit, Weighing};
 pub use stability::Stability;
 
@@ -85,6 +86,11 @@ impl HarmonicsMethod {
         self.basis().at(usize::from(order), direction, &mut row);
         let terms = || row.iter().zip(parameters.chunks_exact(3));
         std::array::from_fn(|c| terms().map(|(value, p)| value * f64::from(p[c])).sum())
+    }
+
+    /// The functions below `order` as WGSL, in an order of their own; see [`Written`].
+    pub(crate) fn written(self, order: u8) -> Vec<Written> {
+        self.basis().written(usize::from(order))
     }
 
     /// Number of coefficients of one channel.

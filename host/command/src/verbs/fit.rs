@@ -5,15 +5,14 @@ use std::path::Path;
 use rigel::calibration::Photometry;
 use rigel::evaluate::{evaluate as score, read_references, session_references};
 use rigel::fit::{BANDS, FitFlags, FitOptions, Model, Reason, candidates};
-use rigel::geometry::{Lens, Pose, Texels};
+use rigel::geometry::Texels;
 use rigel::observation::ObservationMap;
 use rigel::parameter_map::{
     Coarser, Diagnostics, ParameterMap, Selection, Within, coarser, coverage, fit_surface, select_surface,
     together,
 };
-use rigel::render::{gamma_for_median, render as draw};
+use rigel::render::render as draw;
 use rigel::session::Session;
-use rigel::view_file::read_camera;
 use rigel::{Error, Result};
 
 use crate::arguments::{Evaluate, Fit, Render};
@@ -204,32 +203,13 @@ pub fn render(arguments: &Render) -> Result<()> {
     }
     require_place(&arguments.out, true)?;
     let map = ParameterMap::read(&arguments.map)?;
-    let (lens, pose) = match &arguments.camera {
-        Some(path) => read_camera(path, arguments.pixel_centre)?,
-        None => {
-            let (width, height) = (map.surface.width_m, map.surface.height_m);
-            let distance_m = arguments.distance.unwrap_or(4.0 * width.max(height));
-            // The surface's diagonal fits the picture's shorter side, however it is turned.
-            let pixels = f64::from(arguments.size.columns.min(arguments.size.rows));
-            let focal_px = 0.95 * pixels * distance_m / width.hypot(height);
-            let lens = Lens::pinhole(arguments.size.columns, arguments.size.rows, focal_px);
-            (lens, Pose::from_rig(arguments.pan.to_radians(), arguments.tilt.to_radians(), distance_m))
-        }
-    };
+    let (lens, pose) = arguments.camera.place(&map.surface)?;
     let radiance = |point, direction| map.radiance_at(map.surface.texel_at(map.texels, point), direction);
     let rendering = draw(&map.surface, &lens, &pose, radiance, &Bar::new("rendering"))?;
     if extension == "exr" {
         rendering.write_exr(&arguments.out)?;
     } else {
-        let inside = rendering.inside.iter().zip(&rendering.radiance).filter(|(inside, _)| **inside);
-        let values: Vec<f32> = inside.flat_map(|(_, radiance)| *radiance).collect();
-        if values.is_empty() {
-            return Err(Error::request(
-                format!("no pixel of {} would show the front of the surface", arguments.out.display()),
-                "turn it to the camera (--pan, --tilt, --distance), or check the camera of --camera",
-            ));
-        }
-        let gamma = arguments.gamma.map_or_else(|| gamma_for_median(&values), Ok)?;
+        let gamma = arguments.camera.gamma_for(&rendering, &arguments.out)?;
         rendering.write_png(&arguments.out, gamma)?;
     }
     say!("wrote {}: {}x{} pixels", arguments.out.display(), lens.width, lens.height);

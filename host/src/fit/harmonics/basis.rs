@@ -1,9 +1,13 @@
 //! The harmonics at a direction: one recurrence for single numbers and for eight texels at once.
 
+mod written;
+
 use std::f64::consts::PI;
 use std::sync::LazyLock;
 
 use glam::DVec3;
+
+pub(crate) use written::Written;
 
 /// Which functions of the direction there are coefficients for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

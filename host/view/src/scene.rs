@@ -1,0 +1,270 @@
+//! A parameter map on the device.
+
+use bytemuck::cast_slice;
+use rigel::fit::Model;
+use rigel::geometry::{Lens, Pose, Surface, Texels};
+use rigel::parameter_map::ParameterMap;
+use rigel::shader::{Look, Packed, camera_numbers};
+use rigel::{Error, Result};
+use wgpu::{
+    BindGroup, BindGroupDescriptor, BindGroupEntry, BindingResource, BufferDescriptor, BufferUsages, Color,
+    CommandEncoder, CommandEncoderDescriptor, FilterMode, LoadOp, MipmapFilterMode, Operations,
+    RenderPassColorAttachment, RenderPassDescriptor, RenderPipeline, SamplerDescriptor, StoreOp,
+    TextureFormat, TextureUsages, TextureView, TextureViewDescriptor,
+};
+
+use crate::graphics::Graphics;
+use crate::pipelines::{Pipelines, SHADED};
+
+/// The radiance of two neighbouring texels, toward the camera from each one's centre and from a point between them, may differ
+/// by about half of this part of a lobe's top.
+const SMOOTH: f64 = 0.06;
+
+/// The format of pictures that are read back.
+pub const PICTURE: TextureFormat = TextureFormat::Rgba8Unorm;
+
+/// Where models are evaluated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Shading {
+    /// At every pixel, four texels each: exact.
+    ByPixel,
+    /// Once for each texel, from its centre: faster, filtered where a pixel covers many texels, and indistinguishable where texels
+    /// are small beside the sharpest highlight.
+    ByTexel,
+    /// By texel where that is indistinguishable and not more work, else by pixel.
+    #[default]
+    Automatic,
+}
+
+/// What is to be seen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct View {
+    /// Lens and size of the picture.
+    pub lens: Lens,
+    /// Where the camera stands.
+    pub pose: Pose,
+    /// How radiance becomes a picture.
+    pub look: Look,
+    /// Where models are evaluated.
+    pub shading: Shading,
+}
+
+/// A parameter map on the device, ready to be drawn.
+pub struct Scene {
+    surface: Surface,
+    texels: Texels,
+    scale: f32,
+    format: TextureFormat,
+    /// The largest shininess, or what a basis can show that is as sharp.
+    sharpness: f64,
+    pipelines: Pipelines,
+    uniform: wgpu::Buffer,
+    /// To shade texels: without the texture that this fills.
+    shade: BindGroup,
+    draw: BindGroup,
+    levels: Vec<TextureView>,
+    /// To make each level but the first from the one before.
+    halve: Vec<BindGroup>,
+}
+
+fn sharpness(map: &ParameterMap) -> f64 {
+    let mut most = 1f64;
+    for row in 0..map.texels.rows {
+        for column in 0..map.texels.columns {
+            let (model, parameters) = map.texel(column, row);
+            let of = match model {
+                Model::Constant => 0.0,
+                Model::LogQuadratic => {
+                    parameters[9..18].iter().fold(0.0, |most: f64, value| most.max(f64::from(value.abs())))
+                }
+                Model::Phong { .. } => {
+                    parameters[3..].chunks_exact(7).fold(0.0, |most: f64, lobe| most.max(f64::from(lobe[3])))
+                }
+                Model::SharedPhong { .. } => f64::from(parameters[3]),
+                // The narrowest lobe of degree n falls off as cos^m of m about n².
+                Model::Harmonics { order, .. } => f64::from(order).powi(2),
+            };
+            most = most.max(of);
+        }
+    }
+    most
+}
+
+impl Scene {
+    /// Brings a map onto the device, for pictures of `format`.
+    ///
+    /// # Errors
+    /// [`Error::Request`] when it is larger than a texture of the device can be.
+    pub fn new(graphics: &Graphics, map: &ParameterMap, format: TextureFormat) -> Result<Self> {
+        let mut packed = Packed::new(map)?;
+        let (columns, rows) = (map.texels.columns, map.texels.rows);
+        graphics.require_size("the texels", columns, rows)?;
+        let coefficient_rows = packed.rows();
+        graphics.require_size("the coefficients", Packed::ROW as u32, coefficient_rows as u32)?;
+        packed.coefficients.resize(coefficient_rows * Packed::ROW, [0; 4]);
+        let places = graphics.filled((columns, rows), TextureFormat::R32Uint, cast_slice(&packed.places));
+        let coefficients = graphics.filled(
+            (Packed::ROW as u32, coefficient_rows as u32),
+            TextureFormat::Rgba32Uint,
+            cast_slice(&packed.coefficients),
+        );
+        let count = columns.max(rows).ilog2() + 1;
+        let usage = TextureUsages::TEXTURE_BINDING | TextureUsages::RENDER_ATTACHMENT;
+        let shaded = graphics.texture((columns, rows), count, SHADED, usage);
+        let level = |level| {
+            shaded.create_view(&TextureViewDescriptor {
+                base_mip_level: level,
+                mip_level_count: Some(1),
+                ..TextureViewDescriptor::default()
+            })
+        };
+        let levels: Vec<TextureView> = (0..count).map(level).collect();
+        let nothing = graphics.texture((1, 1), 1, SHADED, TextureUsages::TEXTURE_BINDING);
+        let uniform = graphics.device.create_buffer(&BufferDescriptor {
+            label: None,
+            size: size_of::<[[f32; 4]; 10]>() as u64,
+            usage: BufferUsages::UNIFORM | BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        let sampler = graphics.device.create_sampler(&SamplerDescriptor {
+            mag_filter: FilterMode::Linear,
+            min_filter: FilterMode::Linear,
+            mipmap_filter: MipmapFilterMode::Linear,
+            ..SamplerDescriptor::default()
+        });
+        let pipelines = Pipelines::new(graphics, &packed.models, format);
+        let group = |shaded: &TextureView| {
+            let view =
+                |binding, view| BindGroupEntry { binding, resource: BindingResource::TextureView(view) };
+            graphics.device.create_bind_group(&BindGroupDescriptor {
+                label: None,
+                layout: &pipelines.layout,
+                entries: &[
+                    BindGroupEntry { binding: 0, resource: uniform.as_entire_binding() },
+                    view(1, &places),
+                    view(2, &coefficients),
+                    view(3, shaded),
+                    BindGroupEntry { binding: 4, resource: BindingResource::Sampler(&sampler) },
+                ],
+            })
+        };
+        Ok(Self {
+            surface: map.surface,
+            texels: map.texels,
+            scale: packed.scale,
+            format,
+            sharpness: sharpness(map),
+            shade: group(&nothing.create_view(&Default::default())),
+            draw: group(&shaded.create_view(&Default::default())),
+            halve: levels[..levels.len() - 1].iter().map(group).collect(),
+            pipelines,
+            uniform,
+            levels,
+        })
+    }
+
+    /// Whether pictures come with blue first.
+    pub(crate) fn is_blue_first(&self) -> bool {
+        matches!(self.format, TextureFormat::Bgra8Unorm | TextureFormat::Bgra8UnormSrgb)
+    }
+
+    /// Whether texels are shaded one by one in this view.
+    pub fn is_by_texel(&self, view: &View) -> bool {
+        match view.shading {
+            Shading::ByPixel => false,
+            Shading::ByTexel => true,
+            Shading::Automatic => {
+                let size_m = (self.surface.width_m / f64::from(self.texels.columns))
+                    .max(self.surface.height_m / f64::from(self.texels.rows));
+                let nearest_m = view.pose.centre_m.z.max(1e-9);
+                let pixels = f64::from(view.lens.width) * f64::from(view.lens.height);
+                size_m / nearest_m * self.sharpness.sqrt() <= SMOOTH
+                    && self.texels.count() as f64 <= 4.0 * pixels
+            }
+        }
+    }
+
+    /// How many averages are needed where a pixel covers many texels.
+    fn averages(&self, view: &View) -> u32 {
+        let (width_m, height_m) = (self.surface.width_m, self.surface.height_m);
+        let corner = |x: f64, y: f64| {
+            view.pose.to_camera(glam::DVec3::new(x * width_m / 2.0, y * height_m / 2.0, 0.0)).z
+        };
+        let farthest_m = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)].map(|(x, y)| corner(x, y));
+        let farthest_m = farthest_m.into_iter().fold(0.0, f64::max);
+        let texel_m = (width_m / f64::from(self.texels.columns)).min(height_m / f64::from(self.texels.rows));
+        let covered = farthest_m / view.lens.fx.min(view.lens.fy) / texel_m;
+        let level = (covered.max(1e-9).log2() - 1.0).ceil().max(0.0) as u32;
+        level.min(self.levels.len() as u32 - 1)
+    }
+
+    /// Draws a view into `target`.
+    pub fn draw(&self, graphics: &Graphics, view: &View, target: &TextureView) {
+        let is_by_texel = self.is_by_texel(view);
+        let averages = if is_by_texel { self.averages(view) } else { 0 };
+        let numbers = camera_numbers(
+            &self.surface,
+            self.texels,
+            &view.lens,
+            &view.pose,
+            &view.look,
+            self.scale,
+            averages,
+        );
+        graphics.queue.write_buffer(&self.uniform, 0, cast_slice(&numbers));
+        let mut encoder = graphics.device.create_command_encoder(&CommandEncoderDescriptor::default());
+        if is_by_texel {
+            pass(&mut encoder, &self.pipelines.shade_texel, &self.shade, &self.levels[0]);
+            for level in 0..averages as usize {
+                pass(&mut encoder, &self.pipelines.halve, &self.halve[level], &self.levels[level + 1]);
+            }
+        }
+        let pipeline = if is_by_texel { &self.pipelines.by_texel } else { &self.pipelines.by_pixel };
+        pass(&mut encoder, pipeline, if is_by_texel { &self.draw } else { &self.shade }, target);
+        graphics.queue.submit([encoder.finish()]);
+    }
+
+    /// A view as a picture: RGB levels, row by row from the top.
+    ///
+    /// # Errors
+    /// [`Error::Request`] when the picture is empty or too large or `gamma` is not positive, [`Error::Device`] when the device
+    /// was lost.
+    pub fn picture(&self, graphics: &Graphics, view: &View) -> Result<Vec<[u8; 3]>> {
+        let (width, height) = (view.lens.width, view.lens.height);
+        if width == 0 || height == 0 || !view.look.gamma.is_finite() || view.look.gamma <= 0.0 {
+            return Err(Error::request(
+                format!(
+                    "a picture of {width}x{height} pixels with gamma = {} cannot be drawn",
+                    view.look.gamma
+                ),
+                "give at least one pixel and a positive gamma",
+            ));
+        }
+        graphics.require_size("the pixels of the picture", width, height)?;
+        let usage = TextureUsages::RENDER_ATTACHMENT | TextureUsages::COPY_SRC;
+        let target = graphics.texture((width, height), 1, self.format, usage);
+        self.draw(graphics, view, &target.create_view(&Default::default()));
+        let order = if self.is_blue_first() { [2, 1, 0] } else { [0, 1, 2] };
+        Ok(graphics.read(&target)?.chunks_exact(4).map(|pixel| order.map(|c| pixel[c])).collect())
+    }
+}
+
+pub(crate) fn pass(
+    encoder: &mut CommandEncoder,
+    pipeline: &RenderPipeline,
+    group: &BindGroup,
+    target: &TextureView,
+) {
+    let mut pass = encoder.begin_render_pass(&RenderPassDescriptor {
+        color_attachments: &[Some(RenderPassColorAttachment {
+            view: target,
+            depth_slice: None,
+            resolve_target: None,
+            ops: Operations { load: LoadOp::Clear(Color::BLACK), store: StoreOp::Store },
+        })],
+        ..RenderPassDescriptor::default()
+    });
+    pass.set_pipeline(pipeline);
+    pass.set_bind_group(0, group, &[]);
+    pass.draw(0..3, 0..1);
+}

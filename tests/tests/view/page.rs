@@ -1,0 +1,145 @@
+//! The page in a browser without a network: what it draws, what it weighs, what it asks for.
+
+mod common;
+
+use std::path::Path;
+use std::process::Command;
+
+use common::{cameras, fitted, mixed, observed};
+use glam::DVec3;
+use rigel::fit::Model;
+use rigel::geometry::{Lens, Pose, Texels};
+use rigel::parameter_map::ParameterMap;
+use rigel::progress::Silent;
+use rigel::render::{Rendering, expose, gamma_for_median, render};
+use rigel::web::{Exhibit, page};
+use serde_json::json;
+
+const TEXELS: Texels = Texels { columns: 48, rows: 36 };
+
+/// Chromium's picture of a page; `None`, after saying so, where there is no Chromium.
+fn screenshot(page: &Path, hash: &str, size: (u32, u32), out: &Path) -> Option<()> {
+    let profile = tempfile::tempdir().unwrap();
+    let address = format!("file://{}#{hash}", page.display());
+    let ran = Command::new("chromium")
+        .args([
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--disable-quic",
+            "--no-first-run",
+            "--disable-sync",
+        ])
+        .args(["--disable-background-networking", "--disable-component-update", "--force-color-profile=srgb"])
+        .args([
+            "--use-gl=angle",
+            "--use-angle=swiftshader",
+            "--enable-unsafe-swiftshader",
+            "--hide-scrollbars",
+        ])
+        .arg(format!("--user-data-dir={}", profile.path().display()))
+        .arg(format!("--window-size={},{}", size.0, size.1))
+        .arg("--virtual-time-budget=20000")
+        .arg(format!("--screenshot={}", out.display()))
+        .arg(address)
+        .output();
+    match ran {
+        Ok(output) => {
+            assert!(out.exists(), "{}", String::from_utf8_lossy(&output.stderr));
+            Some(())
+        }
+        Err(error) => {
+            assert!(
+                std::env::var_os("CI").is_none(),
+                "chromium cannot be run: {error}; apt install chromium"
+            );
+            eprintln!("skipped: chromium cannot be run ({error}); apt install chromium");
+            None
+        }
+    }
+}
+
+fn truth(map: &ParameterMap, lens: &Lens, pose: &Pose) -> (Rendering, f32) {
+    let radiance = |point, direction| map.radiance_at(map.surface.texel_at(map.texels, point), direction);
+    let picture = render(&map.surface, lens, pose, radiance, &Silent).unwrap();
+    let inside = picture.inside.iter().zip(&picture.radiance).filter(|(inside, _)| **inside);
+    let gamma = gamma_for_median(&inside.flat_map(|(_, radiance)| *radiance).collect::<Vec<f32>>()).unwrap();
+    (picture, gamma)
+}
+
+/// A link that shows the page's map number `map` as a camera sees it.
+fn link(map: usize, lens: &Lens, pose: &Pose, gamma: f32) -> String {
+    let axis = |axis: DVec3| pose.direction_to_surface(axis).to_array();
+    json!({
+        "map": map, "fx": lens.fx, "fy": lens.fy, "cx": lens.cx, "cy": lens.cy, "width": lens.width, "height": lens.height,
+        "right": axis(DVec3::X), "down": axis(DVec3::Y), "forward": axis(DVec3::Z), "centre": pose.centre_m.to_array(), "gamma": gamma,
+    })
+    .to_string()
+    .bytes()
+    .map(|byte| if byte.is_ascii_alphanumeric() { char::from(byte).to_string() } else { format!("%{byte:02X}") })
+    .collect()
+}
+
+#[test]
+fn the_page_shows_what_the_processor_draws() {
+    let Some(cameras) = cameras() else { return };
+    let (surface, observed) = observed(TEXELS);
+    let models = ["phong", "phong3", "phong2-shared", "log-quadratic", "msh36", "hsh16", "sh16"]
+        .map(|name| Model::parse(name).unwrap());
+    let mut maps = models.map(|model| fitted(surface, TEXELS, model, &observed)).to_vec();
+    maps.push(mixed(&maps));
+    let exhibits: Vec<Exhibit> = maps
+        .iter()
+        .map(|map| Exhibit { name: map.models[0].name(), map: map.clone(), facts: map.facts() })
+        .collect();
+    let made = page("</script> & all", &exhibits, &Silent).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("page.html");
+    std::fs::write(&path, &made.html).unwrap();
+    let mut bad = vec![];
+    for (i, map) in maps.iter().enumerate() {
+        assert!(made.errors_255[i] <= 0.5, "{}: {}", exhibits[i].name, made.errors_255[i]);
+        let (lens, pose) = cameras[i % cameras.len()];
+        let (truth, gamma) = truth(map, &lens, &pose);
+        let out = folder.path().join(format!("{i}.png"));
+        if screenshot(&path, &link(i, &lens, &pose, gamma), (lens.width, lens.height + 90), &out).is_none() {
+            return;
+        }
+        let picture = image::open(&out).unwrap().into_rgb8();
+        let (mut sum, mut count) = (0.0, 0.0);
+        for (k, radiance) in truth.radiance.iter().enumerate() {
+            let pixel = picture.get_pixel(k as u32 % lens.width, k as u32 / lens.width);
+            for c in 0..3 {
+                sum += f64::from((255.0 * expose(radiance[c], gamma) - f32::from(pixel[c])).abs());
+                count += f64::from(u8::from(truth.inside[k]));
+            }
+        }
+        let mean = sum / count;
+        println!(
+            "{:>14}{}: page {mean:.2} of 255, quantisation {:.2}",
+            exhibits[i].name,
+            if map.models.len() > 1 { " and others" } else { "" },
+            made.errors_255[i]
+        );
+        if mean > 2.0 {
+            bad.push(format!("{}: {mean}", exhibits[i].name));
+        }
+    }
+    assert!(bad.is_empty(), "{bad:?}");
+}
+
+#[test]
+fn a_page_asks_for_nothing_and_holds_no_foreign_script() {
+    let (surface, observed) = observed(Texels { columns: 4, rows: 3 });
+    let map = fitted(surface, Texels { columns: 4, rows: 3 }, Model::Constant, &observed);
+    let made =
+        page("<b>a</b></script>", &[Exhibit { name: "</script>".into(), facts: vec![], map }], &Silent)
+            .unwrap();
+    assert!(made.html.contains("default-src 'none'"));
+    for address in ["http:", "https:", "src=", "url(", "import(", "fetch("] {
+        assert!(!made.html.contains(address), "{address}");
+    }
+    assert!(made.html.contains("<h1>&lt;b>a"));
+    assert_eq!(made.html.matches("</script>").count(), 2);
+    assert!(page("none", &[], &Silent).is_err());
+}

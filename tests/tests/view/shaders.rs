@@ -1,0 +1,142 @@
+//! What the graphics processor draws is what the processor draws, for every model.
+
+mod common;
+
+use common::{cameras, finer, fitted, mixed, oblique, observed};
+use rigel::fit::Model;
+use rigel::geometry::{Lens, Pose, Texels};
+use rigel::parameter_map::ParameterMap;
+use rigel::progress::Silent;
+use rigel::render::{Rendering, gamma_for_median, render};
+use rigel::shader::Look;
+use rigel_view::{Graphics, PICTURE, Scene, Shading, View};
+
+const TEXELS: Texels = Texels { columns: 20, rows: 15 };
+
+fn graphics() -> Option<Graphics> {
+    match Graphics::open() {
+        Ok(graphics) => Some(graphics),
+        Err(error) => {
+            assert!(std::env::var_os("CI").is_none(), "{error}");
+            eprintln!("skipped: {error}");
+            None
+        }
+    }
+}
+
+fn truth(map: &ParameterMap, lens: &Lens, pose: &Pose) -> Rendering {
+    let radiance = |point, direction| map.radiance_at(map.surface.texel_at(map.texels, point), direction);
+    render(&map.surface, lens, pose, radiance, &Silent).unwrap()
+}
+
+fn look(truth: &Rendering) -> Look {
+    let inside = truth.inside.iter().zip(&truth.radiance).filter(|(inside, _)| **inside);
+    let values: Vec<f32> = inside.flat_map(|(_, radiance)| *radiance).collect();
+    Look { gamma: gamma_for_median(&values).unwrap(), false_colour: false, beside: [0.0; 3] }
+}
+
+/// Mean and largest difference of 255, over the pixels that are not beside the edge of the surface.
+fn difference(truth: &Rendering, gamma: f32, picture: &[[u8; 3]]) -> (f64, f64) {
+    let width = truth.width as usize;
+    let (mut sum, mut count, mut most) = (0.0, 0.0, 0f64);
+    for i in width + 1..picture.len() - width - 1 {
+        if [i, i - 1, i + 1, i - width, i + width].iter().all(|&j| truth.inside[j]) {
+            for c in 0..3 {
+                let level = (255.0 * rigel::render::expose(truth.radiance[i][c], gamma)).round();
+                let off = f64::from((level - f32::from(picture[i][c])).abs());
+                (sum, count, most) = (sum + off, count + 1.0, most.max(off));
+            }
+        }
+    }
+    assert!(count > 10_000.0, "{count} levels");
+    (sum / count, most)
+}
+
+#[test]
+fn every_model_looks_as_the_processor_draws_it() {
+    let (Some(graphics), Some(cameras)) = (graphics(), cameras()) else { return };
+    println!("on {}", graphics.name());
+    let (surface, observed) = observed(TEXELS);
+    let mut maps: Vec<ParameterMap> =
+        Model::all().into_iter().map(|model| finer(&fitted(surface, TEXELS, model, &observed), 4)).collect();
+    maps.push(mixed(&maps));
+    let mut bad = vec![];
+    for (i, map) in maps.iter().enumerate() {
+        let (lens, pose) = cameras[i % cameras.len()];
+        let truth = truth(map, &lens, &pose);
+        let look = look(&truth);
+        let scene = Scene::new(&graphics, map, PICTURE).unwrap();
+        for shading in [Shading::ByPixel, Shading::ByTexel] {
+            let picture = scene.picture(&graphics, &View { lens, pose, look, shading }).unwrap();
+            let (mean, most) = difference(&truth, look.gamma, &picture);
+            let name = if map.models.len() == 1 { map.name() } else { "mixed, with a palette".into() };
+            println!("{name:>22} {shading:?}: mean {mean:.3}, maximum {most} of 255");
+            if mean > 0.5 || most > 4.0 {
+                bad.push(format!("{name} {shading:?}: mean {mean:.3}, maximum {most}"));
+            }
+        }
+    }
+    assert!(bad.is_empty(), "{bad:#?}");
+}
+
+#[test]
+fn a_lens_that_bends_lines_bends_them_alike() {
+    let Some(graphics) = graphics() else { return };
+    let (surface, observed) = observed(TEXELS);
+    let map = fitted(surface, TEXELS, Model::Phong { lobes: 1 }, &observed);
+    let (lens, pose) = oblique();
+    let truth = truth(&map, &lens, &pose);
+    let look = look(&truth);
+    let scene = Scene::new(&graphics, &map, PICTURE).unwrap();
+    let picture = scene.picture(&graphics, &View { lens, pose, look, shading: Shading::ByPixel }).unwrap();
+    let (mean, most) = difference(&truth, look.gamma, &picture);
+    assert!(mean <= 0.5 && most <= 4.0, "mean {mean}, maximum {most}");
+    // Beside the surface nothing is seen, and the same pixels are beside it.
+    let wrong =
+        truth.inside.iter().zip(&picture).filter(|(inside, pixel)| !**inside && **pixel != [0; 3]).count();
+    assert!(wrong <= 8, "{wrong} pixels beside the surface are not black");
+}
+
+#[test]
+fn from_below_and_edge_on_nothing_is_seen() {
+    let Some(graphics) = graphics() else { return };
+    let (surface, observed) = observed(Texels { columns: 4, rows: 3 });
+    let map = fitted(surface, Texels { columns: 4, rows: 3 }, Model::Constant, &observed);
+    let scene = Scene::new(&graphics, &map, PICTURE).unwrap();
+    let lens = Lens::pinhole(64, 48, 80.0);
+    let look = Look { gamma: 1.0, false_colour: false, beside: [1.0, 0.0, 0.0] };
+    for centre in [glam::DVec3::new(0.0, -0.3, -0.2), glam::DVec3::new(0.0, -0.5, 0.0)] {
+        let pose = Pose::from_axes(centre, -centre, glam::DVec3::Z);
+        for shading in [Shading::ByPixel, Shading::ByTexel] {
+            let picture = scene.picture(&graphics, &View { lens, pose, look, shading }).unwrap();
+            assert!(picture.iter().all(|pixel| *pixel == [255, 0, 0]), "{centre}");
+        }
+    }
+}
+
+#[test]
+fn far_away_a_surface_has_its_mean_colour_and_does_not_flicker() {
+    let Some(graphics) = graphics() else { return };
+    // A chessboard of single texels, black and white.
+    let texels = Texels { columns: 256, rows: 256 };
+    let white = |i: u32| if (i % 256 + i / 256) % 2 == 0 { 2.0 } else { 0.0 };
+    let map = ParameterMap {
+        surface: rigel::geometry::Surface { width_m: 0.2, height_m: 0.2 },
+        texels,
+        models: vec![Model::Constant],
+        choice: vec![],
+        parameters: (0..256 * 256).flat_map(|i| [white(i); 3]).collect(),
+        diagnostics: None,
+        uncertainty: None,
+    };
+    let scene = Scene::new(&graphics, &map, PICTURE).unwrap();
+    let lens = Lens::pinhole(64, 64, 64.0);
+    let pose = Pose::from_rig(0.2, 0.1, 0.5);
+    let look = Look { gamma: 1.0, false_colour: false, beside: [0.0; 3] };
+    let picture = scene.picture(&graphics, &View { lens, pose, look, shading: Shading::ByTexel }).unwrap();
+    let middle = (28..36).flat_map(|row| (28..36).map(move |column| row * 64 + column));
+    let grey = (255.0 * rigel::render::expose(1.0, 1.0)).round() as i32;
+    for i in middle {
+        assert!((i32::from(picture[i][0]) - grey).abs() <= 3, "{:?} is not {grey}", picture[i]);
+    }
+}
