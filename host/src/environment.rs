@@ -17,7 +17,7 @@ mod reduce;
 mod shots;
 mod warp;
 
-pub use lights::{Light, Lights, Method, lights};
+pub use lights::{Light, Lights, Method, Remainder, lights};
 pub use map::{EnvironmentMap, Flag};
 pub use merge::{Merged, Options as MergeOptions, merge};
 pub use mosaic::{Mosaic, Options, Placed, mosaic};

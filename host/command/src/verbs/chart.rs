@@ -21,6 +21,7 @@ pub fn chart(arguments: &Chart) -> Result<()> {
     rigel_atlas::lens(out, &mut report, &Bar::new("lens"))?;
     rigel_atlas::poses(out, &mut report, &Bar::new("poses"))?;
     rigel_atlas::fit(out, &mut report, &Bar::new("fit"))?;
+    rigel_atlas::lights(out, &mut report, &Bar::new("lights"))?;
     let page = out.join("index.html");
     file::write_bytes(&page, report.to_html().as_bytes())?;
     say!("wrote {}: open {} in a browser", out.display(), page.display());
