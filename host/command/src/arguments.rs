@@ -145,7 +145,7 @@ pub struct Lights {
     /// No more lights than these
     #[arg(long, default_value_t = 64, value_parser = clap::value_parser!(u16).range(1..=512))]
     pub most: u16,
-    /// How they are found: joined (above the median radiance, the rest even), or median-cut (Debevec's, for comparison)
+    /// How they are found: joined (above the median radiance, the rest smooth: harmonics up to order 2), or median-cut (Debevec's, for comparison)
     #[arg(long, value_enum, default_value = "joined")]
     pub method: LightMethod,
     /// Replace the table that is there

@@ -1,8 +1,12 @@
-//! The few lights that stand for an environment map.
+//! The few lights that stand for an environment map, and a smooth remainder.
 //!
 //! What is brighter than half of the sphere is dealt into regions of equal luminance (median cut, Debevec 2005); regions whose union
-//! costs the irradiance least are joined, two by two (Ward 1963, weighted by luminance), and the fewest lights are kept that
-//! reproduce the irradiance on all orientations, open and behind walls, to a tolerance. The rest is the same from everywhere.
+//! costs the irradiance least are joined, two by two (Ward 1963, weighted by luminance), or the dimmest is left to the remainder, whichever
+//! does less harm, and the fewest lights are kept that with the remainder reproduce the irradiance on all orientations, open and behind walls, to a tolerance.
+
+mod blocks;
+mod irradiance;
+mod remainder;
 
 use std::fmt::Write as _;
 
@@ -11,17 +15,15 @@ use rayon::prelude::*;
 
 use super::EnvironmentMap;
 use crate::{Error, Result};
+use blocks::{Blocks, Sum};
+use irradiance::Irradiance;
+use remainder::Fit;
+pub use remainder::Remainder;
 
 /// Regions to begin with.
 const REGIONS: usize = 512;
-/// Columns at which a map is looked at; of each block of pixels the sums count, not the mean.
-const COLUMNS: usize = 512;
-/// Orientations of a surface on which the irradiance is compared.
-const ORIENTATIONS: usize = 128;
-/// Walls through the point, each of which hides half of the sphere.
-const WALLS: usize = 16;
-/// A light is a lower bound where so much of it comes from saturated pixels.
-const BOUND: f64 = 0.01;
+/// From so many on, leaving one to the remainder is tried beside joining two.
+const SEARCHED: usize = 32;
 
 const COLUMN_NAMES: &str = "kind,longitude_deg,latitude_deg,x,y,z,solid_angle_sr,radiance_r,radiance_g,radiance_b,share,is_lower_bound\n";
 
@@ -30,8 +32,9 @@ const COLUMN_NAMES: &str = "kind,longitude_deg,latitude_deg,x,y,z,solid_angle_sr
 pub enum Method {
     /// Regions of equal luminance over the whole sphere, nothing beside them (Debevec 2005).
     MedianCut,
-    /// Regions above the median radiance, joined where that costs least, and a constant for the rest.
-    Joined,
+    /// Regions above the median radiance, joined where that costs least, and a remainder up to this order of spherical harmonics
+    /// (0 to [`Remainder::MOST_ORDER`]), the smallest that suffices.
+    Joined(usize),
 }
 
 /// One light.
@@ -49,59 +52,31 @@ pub struct Light {
     pub is_lower_bound: bool,
 }
 
-/// Lights, and what comes from everywhere alike.
+/// Lights, and what comes from everywhere beside them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Lights {
     /// The brightest first.
     pub lights: Vec<Light>,
     /// Radiance from every direction beside them.
-    pub ambient: [f64; 3],
-    /// Root mean square of the irradiance's error over orientations and walls, relative to that of the irradiance.
+    pub remainder: Remainder,
+    /// Root mean square of the irradiance's error over orientations, open and behind walls, relative to that of the irradiance.
     pub error: f64,
+    /// The same over orientations alone, nothing hidden.
+    pub open_error: f64,
     /// The part of the sphere that was never seen, and counts as dark.
     pub unseen: f64,
 }
 
-/// Sums over some pixels, of what is brighter than the median.
-#[derive(Debug, Clone, Copy, Default)]
-struct Sum {
-    irradiance: [f64; 3],
-    luminance: f64,
-    toward: DVec3,
-    square: f64,
-    bound: f64,
-}
-
-impl Sum {
-    fn plus(self, other: Self) -> Self {
-        Self {
-            irradiance: [0, 1, 2].map(|c| self.irradiance[c] + other.irradiance[c]),
-            luminance: self.luminance + other.luminance,
-            toward: self.toward + other.toward,
-            square: self.square + other.square,
-            bound: self.bound + other.bound,
-        }
-    }
-
-    /// By how much the scatter of luminance over directions grows where the two become one.
-    fn cost(&self, other: &Self) -> f64 {
-        let apart = self.toward / self.luminance - other.toward / other.luminance;
-        self.luminance * other.luminance / (self.luminance + other.luminance) * apart.length_squared()
-    }
-
-    fn light(&self, all: f64) -> Light {
-        Light {
-            direction: self.toward.normalize_or(DVec3::Y),
-            solid_angle_sr: self.luminance.powi(2) / self.square,
-            irradiance: self.irradiance,
-            share: self.luminance / all,
-            is_lower_bound: self.bound > BOUND * self.luminance,
-        }
-    }
-}
-
 impl Lights {
-    /// As a table: direction, solid angle, radiance, share and whether it is a lower bound; then what comes from everywhere.
+    /// Red, green and blue irradiance on a surface with this unit normal from which nothing is hidden.
+    pub fn irradiance(&self, normal: DVec3) -> [f64; 3] {
+        self.lights.iter().fold(self.remainder.irradiance(normal), |sum, light| {
+            let cosine = normal.dot(light.direction).max(0.0);
+            [0, 1, 2].map(|c| sum[c] + cosine * light.irradiance[c])
+        })
+    }
+
+    /// As a table: direction, solid angle, radiance, share and whether it is a lower bound; then the remainder's coefficients.
     pub fn csv(&self) -> String {
         let mut csv = String::from(COLUMN_NAMES);
         for Light { direction, solid_angle_sr, irradiance, share, is_lower_bound } in &self.lights {
@@ -117,72 +92,99 @@ impl Lights {
                 "light,{longitude:.3},{latitude:.3},{x:.6},{y:.6},{z:.6},{solid_angle_sr:.6e},{r:.6e},{g:.6e},{b:.6e},{share:.5},{bound}"
             );
         }
-        let [r, g, b] = self.ambient;
         let share = 1.0 - self.lights.iter().map(|light| light.share).sum::<f64>();
-        let sphere = 4.0 * std::f64::consts::PI;
-        let _ = writeln!(csv, "ambient,,,,,,{sphere:.6e},{r:.6e},{g:.6e},{b:.6e},{:.5},0", share.max(0.0));
+        for (i, [r, g, b]) in self.remainder.coefficients().iter().enumerate() {
+            let (order, share) = (i.isqrt(), if i == 0 { share.max(0.0) } else { 0.0 });
+            let degree = i as i64 - (order * order + order) as i64;
+            let _ = writeln!(csv, "harmonic {order} {degree},,,,,,,{r:.6e},{g:.6e},{b:.6e},{share:.5},0");
+        }
         csv
     }
 }
 
-/// Finds the fewest lights, at most `most`, whose irradiance is off by no more than `tolerance` (relative, root mean square).
-/// Where `most` do not suffice, the [`Lights::error`] is what they leave.
+/// Finds the fewest lights, at most `most`, whose irradiance is off by no more than `tolerance` (relative, root mean square, see
+/// [`Lights::error`]). Where `most` do not suffice, that error is what they leave.
 ///
 /// # Errors
 /// [`Error::Request`] for a map without light.
 pub fn lights(map: &EnvironmentMap, method: Method, tolerance: f64, most: usize) -> Result<Lights> {
-    let blocks = Blocks::of(map, method);
-    let all: f64 = blocks.all.iter().map(|(_, luminance)| luminance).sum();
+    let blocks = Blocks::of(map, method == Method::MedianCut);
+    let all: f64 = blocks.all.iter().map(|(_, radiance)| luminance(*radiance)).sum();
     if !(all > 0.0 && all.is_finite()) {
         return Err(Error::request("the map holds no light", "photograph the room with longer exposures"));
     }
     let most = most.max(1);
     let truth = Irradiance::of(blocks.all.iter().copied());
-    let ambient = luminance(blocks.ambient);
-    let rest = Irradiance::of(blocks.all_directions.iter().map(|(d, angle)| (*d, angle * ambient)));
-    let made = |sums: &[Sum]| {
+    let highest = match method {
+        Method::MedianCut => None,
+        Method::Joined(order) => Some(order.min(Remainder::MOST_ORDER)),
+    };
+    let fit = highest.map(|_| Fit::new());
+    let made = |sums: &[Sum], order: Option<usize>| {
         let mut lights: Vec<Light> = sums.iter().map(|sum| sum.light(all)).collect();
         lights.sort_by(|a, b| b.share.total_cmp(&a.share));
-        let of_lights =
-            Irradiance::of(sums.iter().map(|sum| (sum.toward.normalize_or(DVec3::Y), sum.luminance)));
-        let error = truth.off(&of_lights, &rest);
-        Lights { lights, ambient: blocks.ambient, error, unseen: blocks.unseen }
+        let rest = truth.without(&Irradiance::of(lights.iter().map(|l| (l.direction, l.irradiance))));
+        let remainder = match (&fit, order) {
+            (Some(fit), Some(order)) => fit.remainder(&rest, order),
+            _ => Remainder::none(),
+        };
+        let rest = match &fit {
+            Some(fit) => rest.without(&fit.irradiance(&remainder)),
+            None => rest,
+        };
+        let (error, open_error) = (rest.size() / truth.size(), rest.open_size() / truth.open_size());
+        Lights { lights, remainder, error, open_error, unseen: blocks.unseen }
     };
-    let mut best: Option<Lights> = None;
-    match method {
-        Method::MedianCut => {
-            for count in 1..=most {
-                let found = made(&blocks.cut(count));
-                let is_enough = found.error <= tolerance;
-                if best.as_ref().is_none_or(|best| found.error < best.error) {
-                    best = Some(found);
-                }
-                if is_enough {
-                    break;
-                }
+    let Some(highest) = highest else {
+        let mut best: Option<Lights> = None;
+        for count in 1..=most {
+            let found = made(&blocks.cut(count), None);
+            let is_enough = found.error <= tolerance;
+            if best.as_ref().is_none_or(|best| found.error < best.error) {
+                best = Some(found);
+            }
+            if is_enough {
+                break;
             }
         }
-        Method::Joined => {
-            let mut sums = blocks.cut(REGIONS);
-            loop {
-                if sums.len() <= most {
-                    let found = made(&sums);
-                    if best.is_some() && found.error > tolerance {
-                        break;
-                    }
-                    let is_enough = found.error <= tolerance;
-                    best = Some(found);
-                    if !is_enough {
-                        break;
-                    }
-                }
-                if !join(&mut sums) {
-                    break;
-                }
-            }
-        }
+        return Ok(best.unwrap_or_else(|| made(&[], None)));
+    };
+    let mut sums = blocks.cut(REGIONS);
+    while sums.len() > most.max(SEARCHED) {
+        join(&mut sums);
     }
-    Ok(best.unwrap_or_else(|| made(&[])))
+    let mut best = (made(&sums, Some(highest)), sums.clone());
+    while best.1.len() > most || best.0.error <= tolerance {
+        let mut joined = sums.clone();
+        if !join(&mut joined) {
+            break;
+        }
+        // What is wide and dim the remainder may tell as well.
+        let mut without = sums;
+        let radiance = |sum: &Sum| luminance(sum.irradiance) / sum.solid_angle_sr();
+        let dimmest =
+            (0..without.len()).min_by(|a, b| radiance(&without[*a]).total_cmp(&radiance(&without[*b])));
+        dimmest.map(|at| without.swap_remove(at));
+        let (by_joining, by_leaving) =
+            rayon::join(|| made(&joined, Some(highest)), || made(&without, Some(highest)));
+        // What costs next to nothing is joined: a lamp's own parts are not left to what is smooth.
+        let is_nothing = 0.25 * tolerance;
+        let found;
+        (found, sums) = if by_joining.error < by_leaving.error.max(is_nothing) {
+            (by_joining, joined)
+        } else {
+            (by_leaving, without)
+        };
+        if best.1.len() <= most && found.error > tolerance {
+            break;
+        }
+        best = (found, sums.clone());
+    }
+    if best.0.error <= tolerance {
+        let mut smaller = (0..highest).map(|order| made(&best.1, Some(order)));
+        best.0 = smaller.find(|found| found.error <= tolerance).unwrap_or(best.0);
+    }
+    Ok(best.0)
 }
 
 /// Joins the two that cost least; `false` where there is nothing left.
@@ -207,191 +209,6 @@ fn join(sums: &mut Vec<Sum>) -> bool {
 
 fn luminance([r, g, b]: [f64; 3]) -> f64 {
     0.2126 * r + 0.7152 * g + 0.0722 * b
-}
-
-/// A map in blocks of pixels.
-struct Blocks {
-    columns: usize,
-    rows: usize,
-    /// What is brighter than the median.
-    bright: Vec<Sum>,
-    /// The direction and luminance of each.
-    all: Vec<(DVec3, f64)>,
-    /// The direction and solid angle of each.
-    all_directions: Vec<(DVec3, f64)>,
-    ambient: [f64; 3],
-    unseen: f64,
-}
-
-impl Blocks {
-    fn of(map: &EnvironmentMap, method: Method) -> Self {
-        let size = map.size;
-        let side = size.width().div_ceil(COLUMNS).max(1);
-        let (columns, rows) = (size.width().div_ceil(side), size.height().div_ceil(side));
-        let pixels = |block: usize| {
-            let (left, top) = (block % columns * side, block / columns * side);
-            let rows = top..(top + side).min(size.height());
-            rows.flat_map(move |row| (left..(left + side).min(size.width())).map(move |column| (column, row)))
-        };
-        let seen = |at: usize| map.flags.get(at).is_none_or(|flags| flags & EnvironmentMap::UNSEEN == 0);
-        let even = |at: usize| map.radiance[at].map(f64::from);
-        let means: Vec<([f64; 3], f64)> = (0..columns * rows)
-            .into_par_iter()
-            .map(|block| {
-                let (mut sum, mut angle) = ([0.0; 3], 0.0);
-                for (column, row) in pixels(block) {
-                    let (at, own) = (row * size.width() + column, size.solid_angle(row));
-                    if seen(at) {
-                        (0..3).for_each(|c| sum[c] += own * even(at)[c]);
-                        angle += own;
-                    }
-                }
-                (sum.map(|sum| if angle > 0.0 { sum / angle } else { 0.0 }), angle)
-            })
-            .collect();
-        let level = match method {
-            Method::MedianCut => [0.0; 3],
-            Method::Joined => [0, 1, 2].map(|c| median(means.iter().map(|(mean, angle)| (mean[c], *angle)))),
-        };
-        let made: Vec<_> = (0..columns * rows)
-            .into_par_iter()
-            .map(|block| {
-                let (mut sum, mut low) = (Sum::default(), [0.0; 3]);
-                let (mut toward, mut all, mut angle) = (DVec3::ZERO, 0.0, 0.0);
-                for (column, row) in pixels(block) {
-                    let (at, own) = (row * size.width() + column, size.solid_angle(row));
-                    let direction = size.direction(glam::DVec2::new(column as f64, row as f64));
-                    let radiance = even(at);
-                    let above = [0, 1, 2].map(|c| (radiance[c] - level[c]).max(0.0));
-                    let bright = luminance(above);
-                    (0..3).for_each(|c| low[c] += own * radiance[c].min(level[c]));
-                    toward += own * direction;
-                    angle += own;
-                    all += own * luminance(radiance);
-                    sum.irradiance = [0, 1, 2].map(|c| sum.irradiance[c] + own * above[c]);
-                    sum.luminance += own * bright;
-                    sum.toward += own * bright * direction;
-                    sum.square += own * bright * bright;
-                    if map.flags.get(at).is_some_and(|flags| flags & EnvironmentMap::LOWER_BOUND != 0) {
-                        sum.bound += own * bright;
-                    }
-                }
-                (sum, low, (toward.normalize_or(DVec3::Y), all), angle)
-            })
-            .collect();
-        let sphere = 4.0 * std::f64::consts::PI;
-        let ambient = [0, 1, 2].map(|c| made.iter().map(|(_, low, ..)| low[c]).sum::<f64>() / sphere);
-        Self {
-            columns,
-            rows,
-            bright: made.iter().map(|(sum, ..)| *sum).collect(),
-            all: made.iter().map(|(_, _, all, _)| *all).collect(),
-            all_directions: made.iter().map(|(_, _, (direction, _), angle)| (*direction, *angle)).collect(),
-            ambient,
-            unseen: 1.0 - means.iter().map(|(_, angle)| angle).sum::<f64>() / sphere,
-        }
-    }
-
-    /// So many regions of nearly equal luminance: the brightest is cut in two across its longer side.
-    fn cut(&self, count: usize) -> Vec<Sum> {
-        let whole = Region { columns: 0..self.columns, rows: 0..self.rows };
-        let mut regions = vec![(self.sum(&whole), whole)];
-        while regions.len() < count {
-            let can = |region: &Region| region.columns.len() * region.rows.len() > 1;
-            let brightest = (0..regions.len())
-                .filter(|i| can(&regions[*i].1) && regions[*i].0.luminance > 0.0)
-                .max_by(|a, b| regions[*a].0.luminance.total_cmp(&regions[*b].0.luminance));
-            let Some(brightest) = brightest else { break };
-            let (_, region) = regions.swap_remove(brightest);
-            regions.extend(self.halves(&region).map(|half| (self.sum(&half), half)));
-        }
-        regions.into_iter().map(|(sum, _)| sum).filter(|sum| sum.luminance > 0.0).collect()
-    }
-
-    fn sum(&self, region: &Region) -> Sum {
-        region.rows.clone().fold(Sum::default(), |sum, row| {
-            region.columns.clone().fold(sum, |sum, column| sum.plus(self.bright[row * self.columns + column]))
-        })
-    }
-
-    fn halves(&self, region: &Region) -> [Region; 2] {
-        let middle = (region.rows.start + region.rows.end) as f64 / 2.0;
-        let shrunk = (std::f64::consts::PI * (middle / self.rows as f64 - 0.5)).cos();
-        let across = region.columns.len() as f64 * shrunk > region.rows.len() as f64;
-        let upright = region.columns.len() > 1 && (across || region.rows.len() == 1);
-        let line = |at: usize| match upright {
-            true => Region { columns: at..at + 1, rows: region.rows.clone() },
-            false => Region { columns: region.columns.clone(), rows: at..at + 1 },
-        };
-        let range = if upright { region.columns.clone() } else { region.rows.clone() };
-        let lines: Vec<f64> = range.clone().map(|at| self.sum(&line(at)).luminance).collect();
-        let (all, mut before) = (lines.iter().sum::<f64>(), 0.0);
-        let mut at = range.start + 1;
-        for (place, line) in range.clone().zip(&lines) {
-            before += line;
-            if before >= 0.5 * all {
-                // The line in the middle goes to the smaller half.
-                at = if before - 0.5 * line > 0.5 * all { place } else { place + 1 };
-                break;
-            }
-        }
-        let at = at.clamp(range.start + 1, range.end - 1);
-        match upright {
-            true => {
-                [range.start..at, at..range.end].map(|columns| Region { columns, rows: region.rows.clone() })
-            }
-            false => {
-                [range.start..at, at..range.end].map(|rows| Region { columns: region.columns.clone(), rows })
-            }
-        }
-    }
-}
-
-struct Region {
-    columns: std::ops::Range<usize>,
-    rows: std::ops::Range<usize>,
-}
-
-/// The value that half of the weight is below.
-fn median(values: impl Iterator<Item = (f64, f64)>) -> f64 {
-    let mut values: Vec<(f64, f64)> = values.filter(|(_, weight)| *weight > 0.0).collect();
-    values.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let (half, mut below) = (0.5 * values.iter().map(|(_, weight)| weight).sum::<f64>(), 0.0);
-    let found = values.iter().find(|(_, weight)| {
-        below += weight;
-        below >= half
-    });
-    found.map_or(0.0, |(value, _)| *value)
-}
-
-/// The irradiance on surfaces of many orientations, open, and then behind each of some walls.
-struct Irradiance(Vec<f64>);
-
-impl Irradiance {
-    fn of(lights: impl Iterator<Item = (DVec3, f64)>) -> Self {
-        let lights: Vec<(DVec3, f64)> = lights.filter(|(_, luminance)| *luminance > 0.0).collect();
-        let walls: Vec<DVec3> = lattice(WALLS).collect();
-        let normals: Vec<DVec3> = lattice(ORIENTATIONS).collect();
-        let of = |normal: &DVec3| {
-            let mut sums = [0.0; 1 + WALLS];
-            for (direction, luminance) in &lights {
-                let from = luminance * normal.dot(*direction).max(0.0);
-                sums[0] += from;
-                for (sum, wall) in sums[1..].iter_mut().zip(&walls) {
-                    *sum += if wall.dot(*direction) > 0.0 { from } else { 0.0 };
-                }
-            }
-            sums
-        };
-        Self(normals.par_iter().flat_map_iter(of).collect())
-    }
-
-    /// How far the sum of two is from this, relative.
-    fn off(&self, a: &Self, b: &Self) -> f64 {
-        let squares: f64 =
-            self.0.iter().zip(a.0.iter().zip(&b.0)).map(|(own, (a, b))| (a + b - own).powi(2)).sum();
-        (squares / self.0.iter().map(|own| own * own).sum::<f64>()).sqrt()
-    }
 }
 
 /// Directions spread evenly over the sphere.

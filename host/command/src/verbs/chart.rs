@@ -25,6 +25,7 @@ pub fn chart(arguments: &Chart) -> Result<()> {
     rigel_atlas::fit(out, &peers, &mut report, &Bar::new("fit"))?;
     rigel_atlas::mosaic(out, &mut report, &Bar::new("mosaic"))?;
     rigel_atlas::environment(out, &mut report, &Bar::new("environment"))?;
+    rigel_atlas::lights(out, &mut report, &Bar::new("lights"))?;
     let page = out.join("index.html");
     file::write_bytes(&page, report.to_html().as_bytes())?;
     say!("wrote {}: open {} in a browser", out.display(), page.display());

@@ -1,6 +1,6 @@
 //! From a map of the room to the few lights that matter: `lights`.
 
-use rigel::environment::{EnvironmentMap, Method, lights as find};
+use rigel::environment::{EnvironmentMap, Method, Remainder, lights as find};
 use rigel::{Result, file};
 
 use crate::arguments::{LightMethod, Lights};
@@ -15,7 +15,7 @@ pub fn lights(arguments: &Lights) -> Result<()> {
     require_place(&out, arguments.force)?;
     let map = EnvironmentMap::read(&arguments.map)?;
     let method = match arguments.method {
-        LightMethod::Joined => Method::Joined,
+        LightMethod::Joined => Method::Joined(Remainder::MOST_ORDER),
         LightMethod::MedianCut => Method::MedianCut,
     };
     let found = find(&map, method, arguments.tolerance, usize::from(arguments.most))
@@ -43,9 +43,11 @@ pub fn lights(arguments: &Lights) -> Result<()> {
     }
     file::write_bytes(&out, found.csv().as_bytes())?;
     say!(
-        "wrote {}: {} and what comes from everywhere alike, irradiance to {:.1} %",
+        "wrote {}: {} and a smooth remainder (harmonics of order {}), irradiance to {:.1} % where nothing is hidden, {:.1} % with walls",
         out.display(),
         count_of(found.lights.len(), "light"),
+        found.remainder.order(),
+        100.0 * found.open_error,
         100.0 * found.error
     );
     Ok(())
