@@ -452,7 +452,7 @@ pub struct Observe {
     #[arg(long)]
     pub out: Option<PathBuf>,
     /// A matte patch that tells how bright the lamp was in each view, in place of the surface: its centre (x right and y up from the
-    /// centre of the surface) and its side, such as -75mm,37mm,20mm; it may lie beside the surface
+    /// centre of the surface) and its side, such as 130mm,0mm,20mm; it may lie beside the surface
     #[arg(long, value_name = "X,Y,SIDE", allow_hyphen_values = true, conflicts_with = "keep_drift", value_parser = parse_patch)]
     pub reference: Option<(DVec2, f64)>,
     /// Do not remove the lamp's drift over the session
@@ -531,7 +531,7 @@ pub struct Evaluate {
     #[arg(long, conflicts_with = "references", requires = "views")]
     pub session: Option<PathBuf>,
     /// Names of the session's views, such as view003,view010: those that the fit was made --without
-    #[arg(long, value_delimiter = ',')]
+    #[arg(long, value_delimiter = ',', requires = "session")]
     pub views: Vec<String>,
     /// Folder for errors.csv and the pictures [default: the map's name with -errors, beside it]
     #[arg(long)]

@@ -35,6 +35,7 @@ pub use view::view;
 
 use std::path::Path;
 
+use rigel::info::Kind;
 use rigel::session::Session;
 use rigel::{Error, Result};
 
@@ -75,6 +76,15 @@ fn require_place(path: &Path, force: bool) -> Result<()> {
     let trial = path.with_file_name(format!("{name}.{}.rigel-tmp", std::process::id()));
     let tried = std::fs::File::create(&trial).map(drop).and_then(|()| std::fs::remove_file(&trial));
     tried.map_err(Error::io("write", path))
+}
+
+/// The same for a result that can be made again: it replaces an earlier one without asking, but no file of another kind.
+fn require_place_of(path: &Path, kind: Kind) -> Result<()> {
+    require_place(path, true)?;
+    if !path.exists() || rigel::info::info(path).is_ok_and(|info| info.kind == kind) {
+        return Ok(());
+    }
+    Err(Error::input(path, "is there already, and is something else", "choose another name, or delete it"))
 }
 
 /// Refuses to write a file under a name that says something else: a slip must not overwrite a session or its observations.

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use glam::DQuat;
+use glam::{DQuat, DVec3};
 use rayon::prelude::*;
 
 use super::align::{Aligned, Prior, align, between};
@@ -82,6 +82,9 @@ const BLOCKS: u32 = 120;
 const GRAY: u32 = 1000;
 /// How little a pixel counts whose radiance is a lower bound, beside others of its photograph that were measured.
 const BOUND: f32 = 1e-4;
+/// Photographs with so many corners are detailed: others that point the same way, to within this part of their width, must show some.
+const DETAILED: usize = 60;
+const NEAR: f64 = 0.7;
 /// A gain's own standard deviation counts up to this, relative: without stated exposures most of it is what all photographs share.
 const GAIN_SIGMA: f64 = 0.02;
 
@@ -142,7 +145,8 @@ pub fn mosaic(shots: &Shots, options: &Options, progress: &dyn Progress) -> Resu
     }
     let noise = NoiseModel::assumed(&response);
 
-    let (aligned, known) = orient(shots, options, (&pictures, &lens, calibrated), progress)?;
+    let (aligned, known, corners) = orient(shots, options, (&pictures, &lens, calibrated), progress)?;
+    require_partners(shots, &aligned, &corners, &lens)?;
     let grown = if options.refine { aligned.lens.fx / gray_fx(&lens) } else { 1.0 };
     let lens = Lens { fx: lens.fx * grown, fy: lens.fy * grown, k1: aligned.lens.k1, ..lens };
     let unmatched: Vec<String> = all
@@ -232,13 +236,13 @@ pub fn mosaic(shots: &Shots, options: &Options, progress: &dyn Progress) -> Resu
     Ok(Mosaic { map, placed: placed.collect(), lens, residual_rad: aligned.residual_rad, tracker, notes })
 }
 
-/// How the photographs were turned, and what that tells of their tracker.
+/// How the photographs were turned, what that tells of their tracker, and how many corners each has that others might show.
 fn orient(
     shots: &Shots,
     options: &Options,
     (pictures, lens, calibrated): (&[Picture], &Lens, bool),
     progress: &dyn Progress,
-) -> Result<(Aligned, Option<Known>)> {
+) -> Result<(Aligned, Option<Known>, Vec<usize>)> {
     let tracker = shots.tracker.as_ref();
     let mut known = tracker.map(Tracked::before);
     let given = || -> Vec<Prior> {
@@ -262,7 +266,7 @@ fn orient(
             residual_rad: 0.0,
             is_linked: vec![false; priors.len()],
         };
-        return Ok((aligned, known));
+        return Ok((aligned, known, vec![]));
     }
     let white = f32::from(pictures[0].white) * 3.0;
     let gray = |picture: &Picture| {
@@ -271,9 +275,10 @@ fn orient(
     };
     let grays: Vec<Gray> = pictures.par_iter().map(gray).collect();
     let corners: Vec<Corners> = grays.par_iter().map(Gray::corners).collect();
+    let many = corners.iter().map(|corners| corners.at.len()).collect();
     let doubt = if calibrated { (0.005, 0.005) } else { (0.05, 0.05) };
     let (Some(tracker), Some(known)) = (tracker, &mut known) else {
-        return Ok((align(grays, &corners, given(), doubt, None, progress)?, None));
+        return Ok((align(grays, &corners, given(), doubt, None, progress)?, None, many));
     };
     let pair = |i: usize| {
         let expected = tracker.expected([i, i + 1], known);
@@ -290,7 +295,34 @@ fn orient(
     };
     let aligned = align(grays, &corners, priors, doubt, Some(&mut refit), progress)?;
     let known = Some(known.clone());
-    Ok((aligned, known))
+    Ok((aligned, known, many))
+}
+
+/// Refuses photographs full of corners most of which no other photograph shows where it should: what is made of them would be no map.
+fn require_partners(shots: &Shots, aligned: &Aligned, corners: &[usize], lens: &Lens) -> Result<()> {
+    let axis: Vec<DVec3> = aligned.turns.iter().map(|turn| *turn * DVec3::Z).collect();
+    let across_rad = 2.0 * (f64::from(lens.width) / 2.0 / lens.fx).atan();
+    let overlaps = |i: usize| {
+        let near = |j: usize| i != j && axis[i].angle_between(axis[j]) < NEAR * across_rad;
+        (0..axis.len()).any(near)
+    };
+    let detailed: Vec<usize> =
+        (0..corners.len()).filter(|&i| corners[i] >= DETAILED && overlaps(i)).collect();
+    let lonely = detailed.iter().filter(|&&i| aligned.matched[i] == 0).count();
+    if detailed.len() < 3 || 2 * lonely <= detailed.len() {
+        return Ok(());
+    }
+    Err(Error::request(
+        format!(
+            "{lonely} of {} photographs that overlap show details that no other shows where it should, with a lens that sees {:.1} degrees across",
+            detailed.len(),
+            across_rad.to_degrees()
+        ),
+        format!(
+            "check the lens (--lens, --fov) and the orientations (of {}, for one), or take both as they are with --no-refine",
+            shots.shots[detailed[0]].name()
+        ),
+    ))
 }
 
 /// The focal length that [`Gray`] starts from.

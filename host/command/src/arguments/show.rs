@@ -25,7 +25,7 @@ pub struct Camera {
     #[arg(long, value_parser = parse_length_m)]
     pub distance: Option<f64>,
     /// Columns and rows of pixels; not with --camera, which has its own
-    #[arg(long, default_value = "800x600", value_parser = parse_texels)]
+    #[arg(long, default_value = "800x600", value_parser = parse_texels, conflicts_with = "camera")]
     pub size: Texels,
     /// Gamma of the exposure function y = 1 - exp(-gamma x) [default: half grey for the median]
     #[arg(long, value_parser = super::parse_gamma)]

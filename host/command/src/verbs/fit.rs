@@ -6,6 +6,7 @@ use rigel::calibration::Photometry;
 use rigel::evaluate::{evaluate as score, read_references, session_references};
 use rigel::fit::{BANDS, FitFlags, FitOptions, Model, Reason, candidates};
 use rigel::geometry::Texels;
+use rigel::info::Kind;
 use rigel::observation::ObservationMap;
 use rigel::parameter_map::{
     Coarser, Diagnostics, ParameterMap, Selection, Within, coarser, coverage, fit_surface, select_surface,
@@ -18,7 +19,7 @@ use rigel::{Error, Result};
 use crate::arguments::{Evaluate, Fit, Render};
 use crate::progress::Bar;
 use crate::say::say;
-use crate::verbs::{require_extension, require_place, session_views, views_by_name};
+use crate::verbs::{require_extension, require_place, require_place_of, session_views, views_by_name};
 
 /// `rigel fit`.
 pub fn fit(arguments: &Fit) -> Result<()> {
@@ -42,7 +43,7 @@ pub fn fit(arguments: &Fit) -> Result<()> {
     let out =
         arguments.out.clone().unwrap_or_else(|| arguments.observations.with_file_name(format!("{name}.exr")));
     require_extension(&out, "exr")?;
-    require_place(&out, true)?;
+    require_place_of(&out, Kind::ParameterMap)?;
     let fitted = match model {
         Some(model) => fit_surface(&map, model, &options, &without, &Bar::new("fitting"))?,
         None => {
@@ -200,6 +201,9 @@ pub fn render(arguments: &Render) -> Result<()> {
             format!("'{extension}' is no picture format that this writes"),
             "name a .png or .exr file",
         ));
+    }
+    if extension == "exr" {
+        require_place_of(&arguments.out, Kind::Picture)?;
     }
     require_place(&arguments.out, true)?;
     let map = ParameterMap::read(&arguments.map)?;

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use rigel::calibration::Registration;
+use rigel::info::Kind;
 use rigel::measure::{Merge, Options as MeasureOptions, ResponseChoice, Times, measure};
 use rigel::observation::{self, observe_under};
 use rigel::photometry::{self, Patch};
@@ -14,7 +15,10 @@ use rigel::{Error, Result};
 use crate::arguments::{ExposureTimes, Import, MergeChoice, Observe, Radiance};
 use crate::progress::Bar;
 use crate::say::{count_of, say};
-use crate::verbs::require_extension;
+use crate::verbs::{require_extension, require_place_of};
+
+/// More absent observations than this part are no accident.
+const MOSTLY_ABSENT: f64 = 0.6;
 
 /// `rigel import`.
 pub fn import(arguments: &Import) -> Result<()> {
@@ -59,6 +63,12 @@ pub fn import(arguments: &Import) -> Result<()> {
     Ok(())
 }
 
+/// Whether a view has photographs whose exposure times could contradict each other.
+fn is_bracketed(session: &Session) -> bool {
+    let timed = |view| session.photographs(view).iter().filter(|photo| photo.exposure_s.is_some()).count();
+    (0..session.manifest.views.len()).any(|view| timed(view) > 1)
+}
+
 /// `rigel radiance`.
 pub fn radiance(arguments: &Radiance) -> Result<()> {
     let bar = Bar::new("radiance");
@@ -73,6 +83,15 @@ pub fn radiance(arguments: &Radiance) -> Result<()> {
         ExposureTimes::Stated => Times::Stated,
         ExposureTimes::Measured => Times::Measured,
     };
+    if choice != ResponseChoice::Recover && arguments.exposure_times == ExposureTimes::Measured {
+        return Err(Error::request(
+            "--exposure-times measured says nothing beside --response: times are measured only where the response is recovered with them",
+            "leave one of the two out",
+        ));
+    }
+    if choice != ResponseChoice::Recover && is_bracketed(&session) {
+        say!("note: the exposure times are taken as stated: with --response nothing checks them");
+    }
     if arguments.merge == MergeChoice::Debevec && arguments.exposure_times == ExposureTimes::Measured {
         return Err(Error::request(
             "--exposure-times measured says nothing to --merge debevec, which takes the times as they are stated",
@@ -118,6 +137,7 @@ pub fn observe(arguments: &Observe) -> Result<()> {
     let session = Session::open(&arguments.session)?;
     let out = arguments.out.clone().unwrap_or_else(|| session.folder().join("observations.rigel"));
     require_extension(&out, "rigel")?;
+    require_place_of(&out, Kind::Observations)?;
     let options = photometry::Options {
         lamp: !arguments.keep_drift,
         vignetting: !arguments.keep_vignetting,
@@ -152,6 +172,12 @@ pub fn observe(arguments: &Observe) -> Result<()> {
             header.views.iter().map(|view| format!("{} {:.3}", view.name, view.gain)).collect();
         say!("note: exposure times are unknown; gains: {}", gains.join(", "));
     }
+    let absent = map.absent()?;
+    if absent > MOSTLY_ABSENT {
+        say!(
+            "warning: most of the surface is not seen by most views: its size (--surface), the distance (--distance), the lens or the poses may be wrong"
+        );
+    }
     say!(
         "wrote {}: {}x{} texels, {} views, {:.1} MB; {:.2} % of the observations are absent",
         out.display(),
@@ -159,7 +185,7 @@ pub fn observe(arguments: &Observe) -> Result<()> {
         header.texels.rows,
         header.views.len(),
         header.file_bytes() as f64 / 1e6,
-        100.0 * map.absent()?
+        100.0 * absent
     );
     Ok(())
 }

@@ -77,6 +77,12 @@ pub fn mosaic(arguments: &Mosaic) -> Result<()> {
         fill: arguments.fill,
     };
     let made = make(&shots, &options, &bar).map_err(|error| error.about(&arguments.shots))?;
+    if made.placed.iter().any(|placed| placed.matched > 0) {
+        say!(
+            "orientations: as sure as the room's own frame is, which all share; each beside the others to a few hundredths of a degree where corners match. \
+             gains: beside what the exposures (or 1, where none is stated) let expect"
+        );
+    }
     for placed in &made.placed {
         let [r, g, b] = placed.gain;
         say!(

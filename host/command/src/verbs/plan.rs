@@ -40,7 +40,8 @@ pub fn plan(arguments: &Plan) -> Result<()> {
         }
     }
     if plan.directions.is_empty() {
-        say!("no further view is needed: wrote nothing");
+        let before = if out.exists() { "; the one that is there is of an earlier plan" } else { "" };
+        say!("no further view is needed: wrote no {}{before}", out.display());
         return Ok(());
     }
     plan.write_csv(&out)?;

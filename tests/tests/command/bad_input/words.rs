@@ -216,5 +216,29 @@ fn what_is_wrong_is_said_before_the_work() {
             arguments: &["chart", "--peers", "peers.csv"],
             names: &["peers.csv", "line 3", "tools/peers/texels.py"],
         },
+        Case {
+            spoil: |folder| {
+                fs::copy(folder.join("session/radiance/view000.exr"), folder.join("view.exr"))
+                    .map(drop)
+                    .unwrap()
+            },
+            arguments: &["fit", "session/observations.rigel", "--model", "constant", "--out", "view.exr"],
+            names: &["view.exr", "something else", "another name"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["radiance", "session", "--response", "srgb", "--exposure-times", "measured"],
+            names: &["--exposure-times measured", "--response", "leave one"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["evaluate", "phong.exr", "--references", "list.json", "--views", "view001"],
+            names: &["--references", "--session"],
+        },
+        Case {
+            spoil: nothing,
+            arguments: &["render", "phong.exr", "--camera", "camera.toml", "--size", "9x9"],
+            names: &["--camera", "--size"],
+        },
     ]);
 }
