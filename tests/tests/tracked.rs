@@ -179,6 +179,35 @@ fn a_tracker_near_metal_is_named_and_the_photographs_decide() {
 }
 
 #[test]
+fn where_orientations_break_it_is_known() {
+    let errors = |tour: Tour| {
+        let made = made(&tour);
+        let off = apart(&turns(&made), &tour.truth());
+        let score = rms_score(&made, &off, |_| true);
+        let fit = made.tracker.clone().unwrap();
+        let late = (fit.delay_s - tour.delay_s) / fit.delay_sigma_s;
+        println!(
+            "{:.3} degrees, {score:.2} sigmas; delay {late:.1} sigmas of {:.1} ms",
+            rms_deg(&off),
+            1e3 * fit.delay_sigma_s
+        );
+        assert!(late.abs() < 3.5, "{late}");
+        (rms_deg(&off), score, made)
+    };
+    // Neighbours that share a quarter of the horizon, seven in all, tell little or nothing: then that is said.
+    let (few, score, made) = errors(Tour { laps: 1.0, photographs: 8, ..small() });
+    assert!(score < 2.0 && (few < 0.3 || says(&made, "cannot be told")), "{few} {score} {:?}", made.notes);
+    // Those that share two thirds do.
+    assert!(errors(Tour { laps: 1.0, photographs: 19, ..small() }).0 < 0.1);
+    // Eight times the jitter and five times the drift are no trouble.
+    assert!(errors(Tour { jitter_rad: 0.1, drift_rad: 0.17, ..small() }).0 < 0.1);
+    // Metal that bends the field so far that photographs are not where they are looked for first.
+    let bend = Fault::Bend { from_s: 8.0, to_s: 11.0, by_rad: 0.2 };
+    let (bent, _, made) = errors(Tour { faults: vec![bend], ..small() });
+    assert!(bent < 0.1 && says(&made, "010.png"), "{bent} {:?}", made.notes);
+}
+
+#[test]
 fn a_camera_upside_down_every_second_time_is_no_trouble() {
     let tour = Tour { rolled: true, photographs: 40, duration_s: 60.0, ..small() };
     let made = made(&tour);

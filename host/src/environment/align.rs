@@ -19,6 +19,10 @@ const AGREE_RAD: f64 = 0.004;
 /// The same, pixels: a corner's place is not known better.
 const AGREE_PX: f64 = 1.5;
 
+/// Photographs that nothing links are looked for so far from where they should be, standard deviation about each axis, radians, and known so well then.
+const RESCUE_RAD: f64 = 0.09;
+const RESCUED_RAD: f64 = 0.01;
+
 const ROUNDS: usize = 18;
 
 /// What is known before.
@@ -115,12 +119,37 @@ pub(super) fn align(
                 state.turns[i] = prior.turn;
                 state.sigma_rad[i] = prior.sigma_rad;
             }
-            if search == 1 {
+            if search == 0 {
+                rescue(&mut state, &grays, corners);
+            } else {
                 adjust(&mut state, &priors, &all, &start, (focal_sigma, k1_sigma));
             }
         }
     }
     Ok(state)
+}
+
+/// Looks farther around for photographs that nothing links, beside those that were taken just before and after: a tracker near metal is far off.
+fn rescue(state: &mut Aligned, grays: &[Gray], corners: &[Corners]) {
+    let mut is_found = state.is_linked.clone();
+    let count = grays.len();
+    // Onwards and back, so that one that was found leads to the next.
+    for i in (0..count).chain((0..count).rev()) {
+        if is_found[i] {
+            continue;
+        }
+        let beside = [i.checked_sub(1), Some(i + 1), i.checked_sub(2), Some(i + 2)];
+        let beside = beside.into_iter().flatten().filter(|&j| j < count && is_found[j]);
+        let found = beside.into_iter().find_map(|j| {
+            let expected = (state.turns[j].inverse() * state.turns[i], RESCUE_RAD);
+            between([&grays[j], &grays[i]], [&corners[j], &corners[i]], [j, i], expected)
+        });
+        if let Some(pair) = found {
+            state.turns[i] = (state.turns[pair.photographs[0]] * pair.turn).normalize();
+            state.sigma_rad[i] = RESCUED_RAD;
+            is_found[i] = true;
+        }
+    }
 }
 
 /// The turn between two photographs by their corners, where it is `expected` to within `doubt` (standard deviation, radians).
