@@ -1,5 +1,7 @@
 //! The page in a browser without a network: what it draws, what it weighs, what it asks for.
 
+#![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
+
 mod common;
 
 use std::path::Path;
