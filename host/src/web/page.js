@@ -289,8 +289,8 @@ function listen() {
     m: () => show(shown.number + 1), f: () => colours(!view.colours), 0: again, h: () => { byId("controls").hidden = !byId("controls").hidden; },
   };
   document.addEventListener("keydown", (e) => {
-    // A slider and a list have arrow keys of their own.
-    const own = e.target.matches("input[type=range], select") && (e.key.startsWith("Arrow") || e.key.length === 1);
+    // A slider has arrow keys of its own, a list letters too.
+    const own = (e.target.matches("input[type=range], select") && e.key.startsWith("Arrow")) || (e.target.matches("select") && e.key.length === 1);
     if (own || e.ctrlKey || e.metaKey || e.altKey || !keys[e.key] || !shown) return;
     e.preventDefault();
     keys[e.key]();

@@ -55,13 +55,6 @@ pub struct Show {
 /// [`Error::Device`] where there is no display or no graphics device; [`Error::Request`] where a map is too large for it, and what a
 /// photograph's reading says.
 pub fn open(show: Show) -> Result<()> {
-    let no_display = |error: &dyn std::fmt::Display| Error::Device {
-        device: "display".into(),
-        what: format!("no window can be opened ({error})"),
-        remedy:
-            "start it on a desktop (or set DISPLAY), or draw without a window: --headless --screenshot FILE"
-                .into(),
-    };
     let events = EventLoop::new().map_err(|error| no_display(&error))?;
     let orbit = Orbit::of(&show.view);
     let mut app = App {
@@ -77,6 +70,21 @@ pub fn open(show: Show) -> Result<()> {
     };
     events.run_app(&mut app).map_err(|error| no_display(&error))?;
     app.failed.map_or(Ok(()), Err)
+}
+
+fn no_display(error: &dyn std::fmt::Display) -> Error {
+    // Before the reason stands the place in winit's source.
+    let told = error.to_string();
+    Error::Device {
+        device: "display".into(),
+        what: format!(
+            "no window can be opened ({})",
+            told.rsplit(": ").next().unwrap_or_default().trim_end_matches('.')
+        ),
+        remedy:
+            "start it on a desktop (or set DISPLAY), or draw without a window: --headless --screenshot FILE"
+                .into(),
+    }
 }
 
 /// Where the camera is: it looks at the middle of the surface.
@@ -302,11 +310,7 @@ impl ApplicationHandler for App {
         let window =
             events.create_window(Window::default_attributes().with_title("rigel").with_inner_size(size));
         let opened = window
-            .map_err(|error| Error::Device {
-                device: "display".into(),
-                what: format!("no window can be opened ({error})"),
-                remedy: "draw without a window: --headless --screenshot FILE".into(),
-            })
+            .map_err(|error| no_display(&error))
             .and_then(|window| Pane::new(Arc::new(window), &self.show.maps[self.map].1));
         let result = opened.map(|pane| self.pane = Some(pane));
         self.heed(result, events);

@@ -1,9 +1,11 @@
 //! The page in a browser without a network: what it draws, what it weighs, what it asks for.
 
+#![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
+
 mod common;
 
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Output};
 
 use common::{cameras, fitted, mixed, observed};
 use glam::DVec3;
@@ -17,10 +19,9 @@ use serde_json::json;
 
 const TEXELS: Texels = Texels { columns: 48, rows: 36 };
 
-/// Chromium's picture of a page; `None`, after saying so, where there is no Chromium.
-fn screenshot(page: &Path, hash: &str, size: (u32, u32), out: &Path) -> Option<()> {
+/// Chromium with a new profile; `None`, after saying so, where there is none.
+fn chromium(arguments: &[String]) -> Option<Output> {
     let profile = tempfile::tempdir().unwrap();
-    let address = format!("file://{}#{hash}", page.display());
     let ran = Command::new("chromium")
         .args([
             "--headless",
@@ -37,17 +38,12 @@ fn screenshot(page: &Path, hash: &str, size: (u32, u32), out: &Path) -> Option<(
             "--enable-unsafe-swiftshader",
             "--hide-scrollbars",
         ])
+        .args(["--virtual-time-budget=20000", "--enable-logging=stderr"])
         .arg(format!("--user-data-dir={}", profile.path().display()))
-        .arg(format!("--window-size={},{}", size.0, size.1))
-        .arg("--virtual-time-budget=20000")
-        .arg(format!("--screenshot={}", out.display()))
-        .arg(address)
+        .args(arguments)
         .output();
     match ran {
-        Ok(output) => {
-            assert!(out.exists(), "{}", String::from_utf8_lossy(&output.stderr));
-            Some(())
-        }
+        Ok(output) => Some(output),
         Err(error) => {
             assert!(
                 std::env::var_os("CI").is_none(),
@@ -57,6 +53,17 @@ fn screenshot(page: &Path, hash: &str, size: (u32, u32), out: &Path) -> Option<(
             None
         }
     }
+}
+
+/// Its picture of a page.
+fn screenshot(page: &Path, hash: &str, size: (u32, u32), out: &Path) -> Option<()> {
+    let output = chromium(&[
+        format!("--window-size={},{}", size.0, size.1),
+        format!("--screenshot={}", out.display()),
+        format!("file://{}#{hash}", page.display()),
+    ])?;
+    assert!(out.exists(), "{}", String::from_utf8_lossy(&output.stderr));
+    Some(())
 }
 
 fn truth(map: &ParameterMap, lens: &Lens, pose: &Pose) -> (Rendering, f32) {
@@ -126,6 +133,48 @@ fn the_page_shows_what_the_processor_draws() {
         }
     }
     assert!(bad.is_empty(), "{bad:?}");
+}
+
+/// Presses keys once the page has drawn, and writes into its title what came of it.
+const PRESS: &str = r#"<script>
+const wait = () => document.documentElement.dataset.drawn === undefined ? setTimeout(wait, 50) : press();
+const key = (key) => document.activeElement.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true }));
+const picture = () => document.getElementById("picture").toDataURL();
+async function press() {
+  const seen = [];
+  const frame = () => new Promise((done) => setTimeout(done, 500));
+  let before = picture();
+  for (const one of ["ArrowLeft", "ArrowUp", "+", "]", "f", "m", "0", "h"]) {
+    key(one);
+    await frame();
+    const after = picture();
+    seen.push(`${one}:${after === before ? "same" : "other"}`);
+    before = after;
+  }
+  document.title = `keys ${seen.join(" ")} hidden:${document.getElementById("controls").hidden} map:${document.documentElement.dataset.drawn} requests:${performance.getEntriesByType("resource").length}`;
+}
+wait();
+</script></body>"#;
+
+#[test]
+fn keys_alone_do_everything_and_nothing_is_asked_for() {
+    let texels = Texels { columns: 12, rows: 9 };
+    let (surface, observed) = observed(texels);
+    let exhibit = |name: &str| {
+        let map = fitted(surface, texels, Model::parse(name).unwrap(), &observed);
+        Exhibit { name: name.into(), facts: map.facts(), map }
+    };
+    let made = page("keys", &[exhibit("phong"), exhibit("constant")], &Silent).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("page.html");
+    std::fs::write(&path, made.html.replace("</body>", PRESS)).unwrap();
+    let Some(output) = chromium(&["--dump-dom".into(), format!("file://{}", path.display())]) else { return };
+    let (dom, told) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    let title =
+        dom.split_once("<title>").and_then(|(_, rest)| rest.split_once("</title>")).map(|(title, _)| title);
+    let want = "keys ArrowLeft:other ArrowUp:other +:other ]:other f:other m:other 0:other h:same hidden:true map:1 requests:0";
+    assert_eq!(title, Some(want), "{told}");
+    assert!(!told.contains("Content Security Policy"), "{told}");
 }
 
 #[test]

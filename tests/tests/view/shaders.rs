@@ -1,5 +1,7 @@
 //! What the graphics processor draws is what the processor draws, for every model.
 
+#![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
+
 mod common;
 
 use common::{cameras, finer, fitted, mixed, oblique, observed};
@@ -39,11 +41,11 @@ fn look(truth: &Rendering) -> Look {
 fn difference(truth: &Rendering, gamma: f32, picture: &[[u8; 3]]) -> (f64, f64) {
     let width = truth.width as usize;
     let (mut sum, mut count, mut most) = (0.0, 0.0, 0f64);
-    for i in width + 1..picture.len() - width - 1 {
+    for (i, pixel) in picture.iter().enumerate().take(picture.len() - width - 1).skip(width + 1) {
         if [i, i - 1, i + 1, i - width, i + width].iter().all(|&j| truth.inside[j]) {
-            for c in 0..3 {
-                let level = (255.0 * rigel::render::expose(truth.radiance[i][c], gamma)).round();
-                let off = f64::from((level - f32::from(picture[i][c])).abs());
+            for (radiance, seen) in truth.radiance[i].iter().zip(pixel) {
+                let level = (255.0 * rigel::render::expose(*radiance, gamma)).round();
+                let off = f64::from((level - f32::from(*seen)).abs());
                 (sum, count, most) = (sum + off, count + 1.0, most.max(off));
             }
         }
@@ -119,7 +121,7 @@ fn far_away_a_surface_has_its_mean_colour_and_does_not_flicker() {
     let Some(graphics) = graphics() else { return };
     // A chessboard of single texels, black and white.
     let texels = Texels { columns: 256, rows: 256 };
-    let white = |i: u32| if (i % 256 + i / 256) % 2 == 0 { 2.0 } else { 0.0 };
+    let white = |i: u32| if (i % 256 + i / 256).is_multiple_of(2) { 2.0 } else { 0.0 };
     let map = ParameterMap {
         surface: rigel::geometry::Surface { width_m: 0.2, height_m: 0.2 },
         texels,

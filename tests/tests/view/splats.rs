@@ -1,5 +1,7 @@
 //! Splats read and drawn by a reader that knows only the format's definition.
 
+#![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
+
 mod common;
 
 use std::collections::HashMap;

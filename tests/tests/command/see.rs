@@ -1,0 +1,127 @@
+//! `rigel export` and `rigel info` on files as Rigel writes them, and on others.
+
+#![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use rigel::environment::EnvironmentMap;
+use rigel::fit::Model;
+use rigel::geometry::{LatLong, Surface, Texels};
+use rigel::parameter_map::ParameterMap;
+use rigel::radiance::Response;
+use rigel::session::{Manifest, Session};
+
+fn rigel(folder: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_rigel")).current_dir(folder).args(arguments).output().unwrap()
+}
+
+fn said(output: &Output) -> String {
+    [&output.stdout, &output.stderr].map(|text| String::from_utf8_lossy(text).into_owned()).concat()
+}
+
+fn map() -> ParameterMap {
+    let texels = Texels { columns: 12, rows: 9 };
+    ParameterMap {
+        surface: Surface { width_m: 0.2, height_m: 0.15 },
+        texels,
+        models: vec![Model::Phong { lobes: 1 }],
+        choice: vec![],
+        parameters: [0.2, 0.3, 0.4, 1.0, 0.5, 0.2, 12.0, 0.0, 0.6, 0.8].repeat(texels.count()),
+        diagnostics: None,
+        uncertainty: None,
+    }
+}
+
+#[test]
+fn a_map_becomes_a_page_and_splats_and_nothing_is_replaced_unasked() {
+    let folder = tempfile::tempdir().unwrap();
+    map().write(&folder.path().join("phong.exr")).unwrap();
+    for arguments in
+        [["export", "phong.exr", "--web", "out.html"], ["export", "phong.exr", "--splats", "out.ply"]]
+    {
+        let first = rigel(folder.path(), &arguments);
+        assert!(first.status.success() && said(&first).contains("of 255"), "{}", said(&first));
+        let written = std::fs::read(folder.path().join(arguments[3])).unwrap();
+        std::fs::write(folder.path().join(arguments[3]), "mine").unwrap();
+        let second = rigel(folder.path(), &arguments);
+        assert!(!second.status.success() && said(&second).contains("--force"), "{}", said(&second));
+        assert_eq!(std::fs::read(folder.path().join(arguments[3])).unwrap(), b"mine");
+        let forced = rigel(folder.path(), &[&arguments[..], &["--force"]].concat());
+        assert!(forced.status.success(), "{}", said(&forced));
+        assert_eq!(std::fs::read(folder.path().join(arguments[3])).unwrap(), written);
+    }
+}
+
+#[test]
+fn what_is_no_map_is_no_page() {
+    let folder = tempfile::tempdir().unwrap();
+    map().write(&folder.path().join("phong.exr")).unwrap();
+    assert!(rigel(folder.path(), &["render", "phong.exr", "--out", "picture.exr"]).status.success());
+    for (arguments, wanted) in [
+        (vec!["export", "picture.exr", "--web", "a.html"], "is no parameter map"),
+        (vec!["export", "none.exr", "--web", "a.html"], "check the path"),
+        (vec!["export", "phong.exr", "--web", "a.txt"], ".html"),
+        (vec!["export", "phong.exr", "phong.exr", "--splats", "a.ply"], "name one map"),
+        (vec!["export", "phong.exr"], "--web"),
+        (vec!["info", "none"], "check the path"),
+    ] {
+        let output = rigel(folder.path(), &arguments);
+        let text = said(&output);
+        assert!(!output.status.success() && text.contains(wanted), "{arguments:?}: {text}");
+        assert!(!text.contains("panicked"), "{text}");
+    }
+    assert!(!folder.path().join("a.html").exists() && !folder.path().join("a.ply").exists());
+}
+
+#[test]
+fn every_file_says_what_it_is_and_maps_have_a_picture() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    map().write(&at("phong.exr")).unwrap();
+    let size = LatLong::new(16, 8).unwrap();
+    EnvironmentMap {
+        size,
+        radiance: vec![[0.5, 1.0, 2.0]; 128],
+        variance: vec![],
+        coverage: vec![],
+        flags: vec![0; 128],
+    }
+    .write(&at("room.exr"))
+    .unwrap();
+    Response::srgb(255).write_csv(&at("response.csv")).unwrap();
+    Session::create(&at("session"), Manifest::new("a camera")).unwrap();
+    std::fs::write(at("letter.txt"), "Dear reader").unwrap();
+    std::fs::write(at("broken.exr"), [0x76, 0x2f, 0x31, 0x01, 2, 0, 0, 0, 9]).unwrap();
+    for arguments in
+        [["export", "phong.exr", "--web", "page.html"], ["export", "phong.exr", "--splats", "splats.ply"]]
+    {
+        assert!(rigel(folder.path(), &arguments).status.success());
+    }
+    assert!(rigel(folder.path(), &["render", "phong.exr", "--out", "picture.exr"]).status.success());
+    for (name, what, has_picture) in [
+        ("phong.exr", "model phong", true),
+        ("room.exr", "radiance from every direction", true),
+        ("picture.exr", "a picture in OpenEXR", true),
+        ("response.csv", "a response", false),
+        ("session", "from a camera", false),
+        ("page.html", "a page", false),
+        ("splats.ply", "made by rigel export", false),
+    ] {
+        let output = rigel(folder.path(), &["info", name]);
+        assert!(output.status.success() && said(&output).contains(what), "{name}: {}", said(&output));
+        let png = format!("{name}.png");
+        let output = rigel(folder.path(), &["info", name, "--png", &png]);
+        assert_eq!(output.status.success(), has_picture, "{name}: {}", said(&output));
+        assert_eq!(at(&png).exists(), has_picture, "{name}");
+        if has_picture {
+            let picture = image::open(at(&png)).unwrap();
+            assert!(picture.width().max(picture.height()) <= 384);
+        }
+    }
+    for name in ["letter.txt", "broken.exr"] {
+        let output = rigel(folder.path(), &["info", name]);
+        assert!(!output.status.success() && said(&output).contains(name), "{}", said(&output));
+        assert!(!said(&output).contains("panicked"));
+    }
+}
