@@ -5,6 +5,7 @@
 //! which makes an [`EnvironmentMap`]. [`mosaic`] goes the whole road.
 
 mod align;
+mod cube;
 mod features;
 mod fill;
 mod gain;
@@ -18,8 +19,10 @@ mod shots;
 mod tracked;
 mod warp;
 
+pub use cube::Cube;
 pub use lights::{Light, Lights, Method, Remainder, lights};
 pub use map::{EnvironmentMap, Flag};
+pub(crate) use map::{tone_mapped, write_exr};
 pub use merge::{Merged, Options as MergeOptions, merge};
 pub use mosaic::{Mosaic, Options, Placed, mosaic};
 pub use plate::{Noise, Plate};

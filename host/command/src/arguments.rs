@@ -68,6 +68,8 @@ pub enum Verb {
     Mosaic(Mosaic),
     /// The few lights that stand for a map of the room: a table
     Lights(Lights),
+    /// A map of the room as the six faces of a cube: OpenEXR and PNG
+    Cube(Cube),
     /// Measure speed against accuracy on simulated devices, and what happens where a method breaks: charts and raw figures
     Chart(Chart),
 }
@@ -149,6 +151,21 @@ pub struct Lights {
     #[arg(long, value_enum, default_value = "joined")]
     pub method: LightMethod,
     /// Replace the table that is there
+    #[arg(long)]
+    pub force: bool,
+}
+
+#[derive(Args)]
+pub struct Cube {
+    /// A latitude-longitude map: rigel mosaic's, or any OpenEXR or Radiance HDR picture twice as wide as high
+    pub map: PathBuf,
+    /// Folder for px, nx, py, ny, pz and nz, laid out as OpenGL, Vulkan and WebGPU have them
+    #[arg(long, default_value = "cube")]
+    pub out: PathBuf,
+    /// Pixels along a face's side [default: a quarter of the map's width]
+    #[arg(long)]
+    pub size: Option<u32>,
+    /// Replace the faces that are there
     #[arg(long)]
     pub force: bool,
 }

@@ -39,6 +39,7 @@ fn main() -> ExitCode {
         Verb::Evaluate(arguments) => verbs::evaluate(&arguments),
         Verb::Mosaic(arguments) => verbs::mosaic(&arguments),
         Verb::Lights(arguments) => verbs::lights(&arguments),
+        Verb::Cube(arguments) => verbs::cube(&arguments),
         Verb::Chart(arguments) => verbs::chart(&arguments),
     };
     match outcome {
