@@ -5,7 +5,7 @@ mod show;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 use rigel::calibration::BoardSize;
 use rigel::geometry::{Surface, Texels};
 use rigel::units::{
@@ -70,6 +70,8 @@ pub enum Verb {
     Lights(Lights),
     /// A map of the room as the six faces of a cube: OpenEXR and PNG
     Cube(Cube),
+    /// Maps of a room on its model (OBJ, glTF): a texture of radiance, and the light sources with place, size and power
+    Room(Room),
     /// Measure speed against accuracy on simulated devices, and what happens where a method breaks: charts and raw figures
     Chart(Chart),
 }
@@ -168,6 +170,48 @@ pub struct Cube {
     /// Replace the faces that are there
     #[arg(long)]
     pub force: bool,
+}
+
+#[derive(Args)]
+pub struct Room {
+    /// The room: .obj, .gltf or .glb, lengths in metres
+    pub model: PathBuf,
+    /// A latitude-longitude map; several may follow
+    #[arg(long, required = true)]
+    pub map: Vec<PathBuf>,
+    /// Where it was taken, in the model's frame, metres; one for each map
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_point, allow_hyphen_values = true)]
+    pub centre: Vec<DVec3>,
+    /// Points of the model that were found in it, which tell its turn and, without --centre, its place: a table with the columns
+    /// px,py,pz and dx,dy,dz or column,row; one for each map [default: the map's axes are the model's]
+    #[arg(long, value_name = "CSV")]
+    pub pairs: Vec<PathBuf>,
+    /// Folder for the room with its texture, and its light sources
+    #[arg(long, default_value = "room")]
+    pub out: PathBuf,
+    /// Texels along the texture's side
+    #[arg(long, default_value_t = 1024)]
+    pub size: u32,
+    /// Fill what no map has seen from what is around
+    #[arg(long)]
+    pub fill: bool,
+    /// Also write look.exr, the map that a camera would see at this place
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_point, allow_hyphen_values = true)]
+    pub look: Option<DVec3>,
+    /// Replace what is there
+    #[arg(long)]
+    pub force: bool,
+}
+
+/// A point: three numbers, metres.
+fn parse_point(text: &str) -> Result<DVec3, String> {
+    let numbers: Vec<f64> = text.split(',').filter_map(|number| number.trim().parse().ok()).collect();
+    match numbers[..] {
+        [x, y, z] if text.split(',').count() == 3 && [x, y, z].iter().all(|x| x.is_finite()) => {
+            Ok(DVec3::new(x, y, z))
+        }
+        _ => Err("give three numbers in metres, such as 1.2,1.5,-0.4".into()),
+    }
 }
 
 #[derive(Clone, Copy, ValueEnum)]

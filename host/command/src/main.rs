@@ -40,6 +40,7 @@ fn main() -> ExitCode {
         Verb::Mosaic(arguments) => verbs::mosaic(&arguments),
         Verb::Lights(arguments) => verbs::lights(&arguments),
         Verb::Cube(arguments) => verbs::cube(&arguments),
+        Verb::Room(arguments) => verbs::room(&arguments),
         Verb::Chart(arguments) => verbs::chart(&arguments),
     };
     match outcome {

@@ -15,6 +15,7 @@ mod lights;
 mod mosaic;
 mod plan;
 mod register;
+mod room;
 #[cfg(feature = "viewer")]
 mod view;
 
@@ -32,6 +33,7 @@ pub use lights::lights;
 pub use mosaic::mosaic;
 pub use plan::plan;
 pub use register::register;
+pub use room::room;
 #[cfg(feature = "viewer")]
 pub use view::view;
 
