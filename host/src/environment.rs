@@ -17,6 +17,7 @@ mod plate;
 mod reduce;
 mod shots;
 mod tracked;
+mod update;
 mod warp;
 
 pub use cube::Cube;
@@ -28,4 +29,5 @@ pub use mosaic::{Mosaic, Options, Placed, mosaic};
 pub use plate::{Noise, Plate};
 pub use shots::{Shot, Shots, Tracking};
 pub use tracked::{Tracked, TrackerFit};
+pub use update::{Updated, update};
 pub use warp::{Filter, Sphere};

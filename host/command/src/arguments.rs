@@ -66,6 +66,8 @@ pub enum Verb {
     Evaluate(Evaluate),
     /// Put photographs taken on the spot on a sphere: an OpenEXR map of the radiance from every direction
     Mosaic(Mosaic),
+    /// New photographs of a part of the room bring its map up to date
+    Update(Update),
     /// The few lights that stand for a map of the room: a table
     Lights(Lights),
     /// A map of the room as the six faces of a cube: OpenEXR and PNG
@@ -131,6 +133,38 @@ pub struct Mosaic {
     /// Write a PNG beside the map, for a look
     #[arg(long)]
     pub png: bool,
+    /// Replace the map that is there
+    #[arg(long)]
+    pub force: bool,
+}
+
+#[derive(Args)]
+pub struct Update {
+    /// The map, by rigel mosaic from photographs whose exposures were stated
+    pub map: PathBuf,
+    /// Folder with frames.json or frames.csv, or such a file: new photographs by the same camera, with exposure_s
+    pub shots: PathBuf,
+    /// The map as it is now
+    #[arg(long)]
+    pub out: PathBuf,
+    /// A change of the light counts from this part on, and from three standard deviations on
+    #[arg(long, default_value = "2%", value_parser = parse_part)]
+    pub threshold: f64,
+    /// The lens, as `rigel calibrate` or OpenCV wrote it [default: the one in frames.json]
+    #[arg(long)]
+    pub lens: Option<PathBuf>,
+    /// The angle across a photograph, degrees, where there is no lens
+    #[arg(long = "fov", value_name = "DEGREES", conflicts_with = "lens")]
+    pub fov_deg: Option<f64>,
+    /// How sure the orientations are about each axis, degrees, where the file does not say
+    #[arg(long = "sigma", value_name = "DEGREES", default_value_t = 2.0)]
+    pub sigma_deg: f64,
+    /// Take the orientations as they are
+    #[arg(long)]
+    pub no_refine: bool,
+    /// What the photographs' levels are worth: srgb (mended by the exposures), linear, or a response.csv
+    #[arg(long, default_value = "srgb")]
+    pub response: String,
     /// Replace the map that is there
     #[arg(long)]
     pub force: bool,

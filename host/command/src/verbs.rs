@@ -16,6 +16,7 @@ mod mosaic;
 mod plan;
 mod register;
 mod room;
+mod update;
 #[cfg(feature = "viewer")]
 mod view;
 
@@ -34,6 +35,7 @@ pub use mosaic::mosaic;
 pub use plan::plan;
 pub use register::register;
 pub use room::room;
+pub use update::update;
 #[cfg(feature = "viewer")]
 pub use view::view;
 
