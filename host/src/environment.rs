@@ -5,6 +5,7 @@
 //! which makes an [`EnvironmentMap`]. [`mosaic`] goes the whole road.
 
 mod align;
+mod cube;
 mod features;
 mod fill;
 mod gain;
@@ -16,13 +17,17 @@ mod plate;
 mod reduce;
 mod shots;
 mod tracked;
+mod update;
 mod warp;
 
+pub use cube::Cube;
 pub use lights::{Light, Lights, Method, Remainder, lights};
 pub use map::{EnvironmentMap, Flag};
+pub(crate) use map::{tone_mapped, write_exr};
 pub use merge::{Merged, Options as MergeOptions, merge};
 pub use mosaic::{Mosaic, Options, Placed, mosaic};
 pub use plate::{Noise, Plate};
 pub use shots::{Shot, Shots, Tracking};
 pub use tracked::{Tracked, TrackerFit};
+pub use update::{Updated, update};
 pub use warp::{Filter, Sphere};

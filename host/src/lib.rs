@@ -2,7 +2,7 @@
 //!
 //! Each module is a room on the road that the data takes, and imports only rooms upstream of it:
 //! `geometry` → `rig`, `camera`, `sampling` → `session` → `radiance`, `calibration` → `observation` → `fit`,
-//! `photometry`, `parameter_map` → `render` → `evaluate`, `plan`, `chart`, `report`; and from `radiance` to `environment`.
+//! `photometry`, `parameter_map` → `render` → `evaluate`, `plan`, `chart`, `report`; and from `radiance` to `environment` → `room`.
 
 mod calendar;
 pub mod calibration;
@@ -28,6 +28,7 @@ pub mod radiance;
 pub mod render;
 pub mod report;
 pub mod rig;
+pub mod room;
 pub mod sampling;
 pub mod session;
 pub mod shader;

@@ -5,7 +5,7 @@ mod show;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 use rigel::calibration::BoardSize;
 use rigel::geometry::{Surface, Texels};
 use rigel::units::{
@@ -66,8 +66,14 @@ pub enum Verb {
     Evaluate(Evaluate),
     /// Put photographs taken on the spot on a sphere: an OpenEXR map of the radiance from every direction
     Mosaic(Mosaic),
+    /// New photographs of a part of the room bring its map up to date
+    Update(Update),
     /// The few lights that stand for a map of the room: a table
     Lights(Lights),
+    /// A map of the room as the six faces of a cube: OpenEXR and PNG
+    Cube(Cube),
+    /// Maps of a room on its model (OBJ, glTF): a texture of radiance, and the light sources with place, size and power
+    Room(Room),
     /// Measure speed against accuracy on simulated devices, and what happens where a method breaks: charts and raw figures
     Chart(Chart),
 }
@@ -133,6 +139,38 @@ pub struct Mosaic {
 }
 
 #[derive(Args)]
+pub struct Update {
+    /// The map, by rigel mosaic from photographs whose exposures were stated
+    pub map: PathBuf,
+    /// Folder with frames.json or frames.csv, or such a file: new photographs by the same camera, with exposure_s
+    pub shots: PathBuf,
+    /// The map as it is now
+    #[arg(long)]
+    pub out: PathBuf,
+    /// A change of the light counts from this part on, and from three standard deviations on
+    #[arg(long, default_value = "2%", value_parser = parse_part)]
+    pub threshold: f64,
+    /// The lens, as `rigel calibrate` or OpenCV wrote it [default: the one in frames.json]
+    #[arg(long)]
+    pub lens: Option<PathBuf>,
+    /// The angle across a photograph, degrees, where there is no lens
+    #[arg(long = "fov", value_name = "DEGREES", conflicts_with = "lens")]
+    pub fov_deg: Option<f64>,
+    /// How sure the orientations are about each axis, degrees, where the file does not say
+    #[arg(long = "sigma", value_name = "DEGREES", default_value_t = 2.0)]
+    pub sigma_deg: f64,
+    /// Take the orientations as they are
+    #[arg(long)]
+    pub no_refine: bool,
+    /// What the photographs' levels are worth: srgb (mended by the exposures), linear, or a response.csv
+    #[arg(long, default_value = "srgb")]
+    pub response: String,
+    /// Replace the map that is there
+    #[arg(long)]
+    pub force: bool,
+}
+
+#[derive(Args)]
 pub struct Lights {
     /// A latitude-longitude map: rigel mosaic's, or any OpenEXR or Radiance HDR picture twice as wide as high
     pub map: PathBuf,
@@ -151,6 +189,63 @@ pub struct Lights {
     /// Replace the table that is there
     #[arg(long)]
     pub force: bool,
+}
+
+#[derive(Args)]
+pub struct Cube {
+    /// A latitude-longitude map: rigel mosaic's, or any OpenEXR or Radiance HDR picture twice as wide as high
+    pub map: PathBuf,
+    /// Folder for px, nx, py, ny, pz and nz, laid out as OpenGL, Vulkan and WebGPU have them
+    #[arg(long, default_value = "cube")]
+    pub out: PathBuf,
+    /// Pixels along a face's side [default: a quarter of the map's width]
+    #[arg(long)]
+    pub size: Option<u32>,
+    /// Replace the faces that are there
+    #[arg(long)]
+    pub force: bool,
+}
+
+#[derive(Args)]
+pub struct Room {
+    /// The room: .obj, .gltf or .glb, lengths in metres
+    pub model: PathBuf,
+    /// A latitude-longitude map; several may follow
+    #[arg(long, required = true)]
+    pub map: Vec<PathBuf>,
+    /// Where it was taken, in the model's frame, metres; one for each map
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_point, allow_hyphen_values = true)]
+    pub centre: Vec<DVec3>,
+    /// Points of the model that were found in it, which tell its turn and, without --centre, its place: a table with the columns
+    /// px,py,pz and dx,dy,dz or column,row; one for each map [default: the map's axes are the model's]
+    #[arg(long, value_name = "CSV")]
+    pub pairs: Vec<PathBuf>,
+    /// Folder for the room with its texture, and its light sources
+    #[arg(long, default_value = "room")]
+    pub out: PathBuf,
+    /// Texels along the texture's side
+    #[arg(long, default_value_t = 1024)]
+    pub size: u32,
+    /// Fill what no map has seen from what is around
+    #[arg(long)]
+    pub fill: bool,
+    /// Also write look.exr, the map that a camera would see at this place
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_point, allow_hyphen_values = true)]
+    pub look: Option<DVec3>,
+    /// Replace what is there
+    #[arg(long)]
+    pub force: bool,
+}
+
+/// A point: three numbers, metres.
+fn parse_point(text: &str) -> Result<DVec3, String> {
+    let numbers: Vec<f64> = text.split(',').filter_map(|number| number.trim().parse().ok()).collect();
+    match numbers[..] {
+        [x, y, z] if text.split(',').count() == 3 && [x, y, z].iter().all(|x| x.is_finite()) => {
+            Ok(DVec3::new(x, y, z))
+        }
+        _ => Err("give three numbers in metres, such as 1.2,1.5,-0.4".into()),
+    }
 }
 
 #[derive(Clone, Copy, ValueEnum)]

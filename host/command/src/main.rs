@@ -39,6 +39,9 @@ fn main() -> ExitCode {
         Verb::Evaluate(arguments) => verbs::evaluate(&arguments),
         Verb::Mosaic(arguments) => verbs::mosaic(&arguments),
         Verb::Lights(arguments) => verbs::lights(&arguments),
+        Verb::Update(arguments) => verbs::update(&arguments),
+        Verb::Cube(arguments) => verbs::cube(&arguments),
+        Verb::Room(arguments) => verbs::room(&arguments),
         Verb::Chart(arguments) => verbs::chart(&arguments),
     };
     match outcome {

@@ -5,6 +5,7 @@ mod calibrate;
 mod camera;
 mod capture;
 mod chart;
+mod cube;
 mod demo;
 mod export;
 mod fit;
@@ -14,6 +15,8 @@ mod lights;
 mod mosaic;
 mod plan;
 mod register;
+mod room;
+mod update;
 #[cfg(feature = "viewer")]
 mod view;
 
@@ -21,6 +24,7 @@ pub use bench::{devices, rig, tracker};
 pub use calibrate::calibrate;
 pub use capture::{capture, collect};
 pub use chart::chart;
+pub use cube::cube;
 pub use demo::demo;
 pub use export::export;
 pub use fit::{evaluate, fit, render};
@@ -30,6 +34,8 @@ pub use lights::lights;
 pub use mosaic::mosaic;
 pub use plan::plan;
 pub use register::register;
+pub use room::room;
+pub use update::update;
 #[cfg(feature = "viewer")]
 pub use view::view;
 

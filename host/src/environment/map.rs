@@ -6,10 +6,15 @@ use exr::prelude::{
     AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, SmallVec, WritableImage,
     attribute::{AttributeValue, EnvironmentMap as Projection},
 };
+use glam::DVec3;
 
 use crate::geometry::LatLong;
 use crate::picture::Picture;
 use crate::{Error, Result, file};
+
+/// The attribute of a map that Rigel wrote.
+const MARK: &str = "rigelEnvironment";
+const SOFTWARE: &str = concat!("rigel ", env!("CARGO_PKG_VERSION"));
 
 /// What is special about a pixel; 0 is nothing.
 pub type Flag = u8;
@@ -61,20 +66,15 @@ impl EnvironmentMap {
              centre lies half a pixel inside the map's border. flags: 1 a lower bound (saturated), 2 never seen, 4 never seen and filled; \
              variance is that of the mean of R, G and B, infinite where nothing was measured; coverage counts photographs.";
         let mut attributes = LayerAttributes {
-            software_name: Some(concat!("rigel ", env!("CARGO_PKG_VERSION")).into()),
+            software_name: Some(SOFTWARE.into()),
             comments: Some(comments.into()),
             environment_map: Some(Projection::LatitudeLongitude),
             ..Default::default()
         };
-        attributes.other.insert("rigelEnvironment".into(), AttributeValue::I32(1));
+        attributes.other.insert(MARK.into(), AttributeValue::I32(1));
         let size = (self.size.width(), self.size.height());
         let layer = Layer::new(size, attributes, Encoding::FAST_LOSSLESS, AnyChannels::sort(channels));
-        file::write_beside(path, |temporary| {
-            Image::from_layer(layer).write().to_file(temporary).map_err(|error| match error {
-                exr::error::Error::Io(source) => Error::io("write", path)(source),
-                other => Error::io("write", path)(std::io::Error::other(other.to_string())),
-            })
-        })
+        write_layer(path, layer)
     }
 
     /// Reads a latitude-longitude map: Rigel's, or any OpenEXR or Radiance HDR picture twice as wide as high.
@@ -82,7 +82,7 @@ impl EnvironmentMap {
     /// # Errors
     /// [`Error::Io`], or [`Error::Input`] where it is no such picture or holds a negative or infinite pixel.
     pub fn read(path: &Path) -> Result<Self> {
-        let (width, height, radiance, flags) = read(path)?;
+        let Pixels { size: (width, height), radiance, variance, coverage, flags } = read(path)?;
         let size = LatLong::new(width, height).map_err(|error| error.about(path))?;
         let wrong =
             radiance.iter().position(|pixel| !pixel.iter().all(|value| value.is_finite() && *value >= 0.0));
@@ -95,36 +95,41 @@ impl EnvironmentMap {
             );
             return Err(Error::input(path, what, "give a map of radiance, which is finite and not negative"));
         }
-        Ok(Self { size, radiance, variance: vec![], coverage: vec![], flags })
+        Ok(Self { size, radiance, variance, coverage, flags })
     }
 
-    /// The picture as sRGB levels, half grey for its median, for a look.
-    pub fn tone_mapped(&self) -> Vec<u8> {
-        let mut brightness: Vec<f32> = self
-            .radiance
-            .iter()
-            .map(|p| (p[0] + p[1] + p[2]) / 3.0)
-            .filter(|b| *b > 0.0)
-            .step_by(17)
-            .collect();
-        brightness.sort_by(f32::total_cmp);
-        let median = brightness.get(brightness.len() / 2).copied().unwrap_or(1.0);
-        let gamma = 0.25 / median;
-        let level = |value: f32| {
-            let y = 1.0 - (-gamma * value).exp();
-            let encoded = if y <= 0.0031308 { 12.92 * y } else { 1.055 * y.powf(1.0 / 2.4) - 0.055 };
-            (255.0 * encoded).round() as u8
-        };
-        self.radiance.iter().flat_map(|pixel| pixel.map(level)).collect()
+    /// The radiance from a direction of any length, linear between pixels; how much of it was seen (0 to 1); and what is special
+    /// about the pixels around.
+    pub fn toward(&self, direction: DVec3) -> ([f64; 3], f64, Flag) {
+        let at = self.size.pixel(direction);
+        let (low, part) = (at.floor(), at - at.floor());
+        let (width, height) = (self.size.width() as i64, self.size.height() as i64);
+        let (mut sum, mut all, mut flags) = ([0.0; 3], 0.0, 0);
+        for (i, j) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+            let (column, row) = (low.x as i64 + i, low.y as i64 + j);
+            // Beyond a pole the map goes on at the other side.
+            let over = if (0..height).contains(&row) { 0 } else { width / 2 };
+            let row = if row < 0 { -1 - row } else { row.min(2 * height - 1 - row) };
+            let pixel = (row * width + (column + over).rem_euclid(width)) as usize;
+            let share = |part: f64, step: i64| if step == 1 { part } else { 1.0 - part };
+            let weight = share(part.x, i) * share(part.y, j);
+            let flag = self.flags.get(pixel).copied().unwrap_or(0);
+            if flag & Self::UNSEEN == 0 && weight > 0.0 {
+                (0..3).for_each(|c| sum[c] += weight * f64::from(self.radiance[pixel][c]));
+                all += weight;
+                flags |= flag;
+            }
+        }
+        (sum.map(|sum| if all > 0.0 { sum / all } else { 0.0 }), all, flags)
     }
 
-    /// Writes [`Self::tone_mapped`] as PNG, at most `most` pixels wide.
+    /// Writes its [`tone_mapped`] levels as PNG, at most `most` pixels wide.
     ///
     /// # Errors
     /// [`Error::Io`] where the file cannot be written.
     pub fn write_png(&self, path: &Path, most: u32) -> Result<()> {
         let (width, height) = (self.size.width() as u32, self.size.height() as u32);
-        let picture = image::RgbImage::from_raw(width, height, self.tone_mapped())
+        let picture = image::RgbImage::from_raw(width, height, tone_mapped(&self.radiance))
             .ok_or_else(|| Error::request("a map without pixels", "make it again"))?;
         let by = width.div_ceil(most).max(1);
         let small =
@@ -140,7 +145,62 @@ impl EnvironmentMap {
     }
 }
 
-type Pixels = (u32, u32, Vec<[f32; 3]>, Vec<Flag>);
+/// Writes a square picture of radiance as OpenEXR: `R G B` and `flags`.
+pub(crate) fn write_exr(
+    path: &Path,
+    side: usize,
+    (radiance, flags): (&[[f32; 3]], &[Flag]),
+    comments: &str,
+) -> Result<()> {
+    let mut channels = SmallVec::new();
+    for (c, name) in ["R", "G", "B"].into_iter().enumerate() {
+        let plane = radiance.iter().map(|pixel| pixel[c]).collect();
+        channels.push(AnyChannel::new(name, FlatSamples::F32(plane)));
+    }
+    let flags = flags.iter().map(|&flag| flag.into()).collect();
+    channels.push(AnyChannel::new("flags", FlatSamples::U32(flags)));
+    let attributes = LayerAttributes {
+        software_name: Some(SOFTWARE.into()),
+        comments: Some(comments.into()),
+        ..Default::default()
+    };
+    write_layer(
+        path,
+        Layer::new((side, side), attributes, Encoding::FAST_LOSSLESS, AnyChannels::sort(channels)),
+    )
+}
+
+fn write_layer(path: &Path, layer: Layer<AnyChannels<FlatSamples>>) -> Result<()> {
+    file::write_beside(path, |temporary| {
+        Image::from_layer(layer).write().to_file(temporary).map_err(|error| match error {
+            exr::error::Error::Io(source) => Error::io("write", path)(source),
+            other => Error::io("write", path)(std::io::Error::other(other.to_string())),
+        })
+    })
+}
+
+/// Radiance as sRGB levels, half grey for its median, for a look.
+pub(crate) fn tone_mapped(radiance: &[[f32; 3]]) -> Vec<u8> {
+    let mut brightness: Vec<f32> =
+        radiance.iter().map(|p| (p[0] + p[1] + p[2]) / 3.0).filter(|b| *b > 0.0).step_by(17).collect();
+    brightness.sort_by(f32::total_cmp);
+    let median = brightness.get(brightness.len() / 2).copied().unwrap_or(1.0);
+    let gamma = 0.25 / median;
+    let level = |value: f32| {
+        let y = 1.0 - (-gamma * value).exp();
+        let encoded = if y <= 0.0031308 { 12.92 * y } else { 1.055 * y.powf(1.0 / 2.4) - 0.055 };
+        (255.0 * encoded).round() as u8
+    };
+    radiance.iter().flat_map(|pixel| pixel.map(level)).collect()
+}
+
+struct Pixels {
+    size: (u32, u32),
+    radiance: Vec<[f32; 3]>,
+    variance: Vec<f32>,
+    coverage: Vec<u16>,
+    flags: Vec<Flag>,
+}
 
 fn read(path: &Path) -> Result<Pixels> {
     let remedy = "give a complete OpenEXR or Radiance HDR map";
@@ -166,20 +226,30 @@ fn read(path: &Path) -> Result<Pixels> {
                 .zip(channel.sample_data.values_as_f32())
                 .for_each(|(pixel, value)| pixel[c] = value);
         }
-        let flags = plane("flags").map_or_else(Vec::new, |channel| {
-            channel.sample_data.values_as_f32().map(|value| value as Flag).collect()
+        // Another program's channel of such a name says something else.
+        let own = layer.attributes.other.contains_key(&exr::meta::attribute::Text::from(MARK));
+        let values = |name: &str| {
+            let channel = plane(name).filter(|_| own);
+            channel.map_or_else(Vec::new, |channel| channel.sample_data.values_as_f32().collect())
+        };
+        return Ok(Pixels {
+            size: (layer.size.width() as u32, layer.size.height() as u32),
+            radiance,
+            variance: values("variance"),
+            coverage: values("coverage").into_iter().map(|value| value as u16).collect(),
+            flags: values("flags").into_iter().map(|value| value as Flag).collect(),
         });
-        return Ok((layer.size.width() as u32, layer.size.height() as u32, radiance, flags));
     }
     let picture = Picture::read(path)?;
     if picture.white != Picture::FLOAT_WHITE {
         return Err(Error::input(path, "is a picture of levels, not of radiance", remedy));
     }
     let number = |bits: u16| half::f16::from_bits(bits).to_f32();
-    Ok((
-        picture.width,
-        picture.height,
-        picture.levels.iter().map(|pixel| pixel.map(number)).collect(),
-        vec![],
-    ))
+    Ok(Pixels {
+        size: (picture.width, picture.height),
+        radiance: picture.levels.iter().map(|pixel| pixel.map(number)).collect(),
+        variance: vec![],
+        coverage: vec![],
+        flags: vec![],
+    })
 }

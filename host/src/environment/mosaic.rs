@@ -88,7 +88,8 @@ const NEAR: f64 = 0.7;
 /// A gain's own standard deviation counts up to this, relative: without stated exposures most of it is what all photographs share.
 const GAIN_SIGMA: f64 = 0.02;
 
-/// Makes a map of photographs.
+/// Makes a map of photographs. Where exposures are stated, radiance 1 is what saturates a photograph whose exposure is 1 (a second, where the
+/// file says neither sensitivity nor f-number); else its unit is that of the mean photograph.
 ///
 /// # Errors
 /// [`Error::Request`] or [`Error::Input`], naming the photograph: fewer than two, none overlaps another, sizes that differ, a lens for
@@ -200,11 +201,16 @@ pub fn mosaic(shots: &Shots, options: &Options, progress: &dyn Progress) -> Resu
             names.join(", ")
         ));
     }
+    // Gains are relative to the mean of the stated exposures, which brings radiance to one unit for all maps of a camera.
+    let known: Vec<f64> = stated.iter().flatten().map(|exposure| exposure.ln()).collect();
+    let ln_unit = known.iter().sum::<f64>() / known.len().max(1) as f64
+        + if known.is_empty() { 0.0 } else { white.ln() };
     let plates: Vec<Plate> = pictures
         .par_iter()
         .enumerate()
         .map(|(i, picture)| {
-            plate(picture, &lens, (&response, &noise), &photometry, (i, aligned.turns[i], options.size))
+            let place = (i, aligned.turns[i], options.size);
+            plate(picture, &lens, (&response, &noise), (&photometry, ln_unit), place)
         })
         .collect::<Result<_>>()?;
     let merged = merge(&Sphere::new(options.size), &plates, &options.merge, progress)?;
@@ -384,7 +390,7 @@ fn plate(
     picture: &Picture,
     lens: &Lens,
     (response, noise): (&Response, &NoiseModel),
-    photometry: &[Photometry; 3],
+    (photometry, ln_unit): (&[Photometry; 3], f64),
     (number, turn, size): (usize, DQuat, LatLong),
 ) -> Result<Plate> {
     // Radiance of every level on the axis; shading is a factor.
@@ -397,7 +403,7 @@ fn plate(
             if exposure <= 0.0 {
                 return 0.0;
             }
-            most = most.max((p.ln_radiance(exposure.ln(), 0.0) - p.gains[number]).exp() as f32);
+            most = most.max((p.ln_radiance(exposure.ln(), 0.0) - p.gains[number] - ln_unit).exp() as f32);
             most
         };
         (0..=white).map(value).collect()
