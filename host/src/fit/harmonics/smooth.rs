@@ -294,7 +294,9 @@ impl Smooth {
         let objective = plus(&energy(&packed.weight, missing), &inner(found, prior));
         let energy = energy(&packed.weight, &packed.radiance);
         for c in 0..3 {
-            for i in (0..LANES).filter(|i| !(objective[c].0[*i] < LIKE * energy[c].0[*i])) {
+            // What is no number is not like it either.
+            let is_like = |i: &usize| objective[c].0[*i] < LIKE * energy[c].0[*i];
+            for i in (0..LANES).filter(|i| !is_like(i)) {
                 found.iter_mut().for_each(|found| found[c].0[i] = 0.0);
                 let both = missing.iter_mut().zip(&packed.radiance);
                 both.for_each(|(missing, seen)| missing[c].0[i] = seen[c].0[i]);
