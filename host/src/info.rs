@@ -63,7 +63,7 @@ pub struct Info {
 }
 
 /// First lines of tables, and what such a table is.
-const TABLES: [(&str, &str); 7] = [
+const TABLES: [(&str, &str); 10] = [
     ("view,pixels,mean_of_255,", "errors of a parameter map (rigel evaluate)"),
     ("file,column,row,x_px,", "residuals of a lens (rigel calibrate)"),
     ("azimuth_deg,zenith_deg", "directions for a capture (rigel plan)"),
@@ -71,6 +71,9 @@ const TABLES: [(&str, &str); 7] = [
     ("file,view,pan_deg,", "photographs and their views (for rigel import)"),
     ("file,qw,", "photographs and how the camera was turned (for rigel mosaic)"),
     ("level,R,G,B", "a response"),
+    ("file,time_s", "photographs and their times on a tracker's clock (for rigel mosaic)"),
+    ("time_s,qw,", "a tracker's records (for rigel mosaic)"),
+    ("x_m,y_m,z_m,normal_x,", "light sources of a room (rigel room)"),
 ];
 
 /// Tells what the file or folder at `path` is.

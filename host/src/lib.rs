@@ -2,7 +2,8 @@
 //!
 //! Each module is a room on the road that the data takes, and imports only rooms upstream of it:
 //! `geometry` → `rig`, `camera`, `sampling` → `session` → `radiance`, `calibration` → `observation` → `fit`,
-//! `photometry`, `parameter_map` → `render` → `evaluate`, `plan`, `chart`, `report`; and from `radiance` to `environment` → `room`.
+//! `photometry`, `parameter_map` → `render` → `evaluate`, `plan`, `chart`, `report`; from `radiance` and `tracker` to `environment` → `room`;
+//! from `parameter_map` to `shader` → `web`, from `render` to `splats`; `info` knows them all.
 
 mod calendar;
 pub mod calibration;

@@ -73,7 +73,8 @@ pub fn parse_surface(text: &str) -> Result<Surface> {
 /// # Errors
 /// [`Error::Request`] when it is not four numbers whose squares add up to 1 (to 2 %).
 pub fn parse_quaternion(text: &str) -> Result<DQuat> {
-    let numbers: Vec<f64> = text.split(',').filter_map(|part| part.trim().parse().ok()).collect();
+    // What is no number makes the sum of squares none.
+    let numbers: Vec<f64> = text.split(',').map(|part| part.trim().parse().unwrap_or(f64::NAN)).collect();
     match numbers[..] {
         [w, x, y, z] if ((w * w + x * x + y * y + z * z) - 1.0).abs() < 0.02 => {
             Ok(DQuat::from_xyzw(x, y, z, w).normalize())

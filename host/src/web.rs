@@ -62,12 +62,12 @@ pub fn page(title: &str, exhibits: &[Exhibit], progress: &dyn Progress) -> Resul
     }
     progress.step(exhibits.len(), exhibits.len())?;
     let data = json!({ "title": title, "maps": maps }).to_string();
-    // A script ends at the first `</`, whatever surrounds it.
+    // What a page could take for the end of a script, or for a comment in it, is written in another way.
     let html = include_str!("web/page.html")
         .replace("/*STYLE*/", include_str!("web/page.css"))
-        .replace("TITLE", &escaped(title))
         .replace("/*SCRIPT*/", include_str!("web/page.js"))
-        .replace("/*DATA*/", &data.replace("</", "<\\/"));
+        .replace("/*DATA*/", &data.replace('<', "\\u003c"))
+        .replace("TITLE", &escaped(title));
     Ok(Page { html, errors_255 })
 }
 

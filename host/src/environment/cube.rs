@@ -8,8 +8,8 @@ use rayon::prelude::*;
 use super::map::{EnvironmentMap, Flag, tone_mapped, write_exr};
 use crate::{Error, Result, file};
 
-/// Directions across a face's pixel, at least and at most, as the map's pixels are larger or smaller.
-const PLACES: (usize, usize) = (2, 16);
+/// Directions across a face's pixel, at least: two across each of the map's pixels.
+const PLACES: usize = 2;
 
 /// Radiance on the six sides of a cube about the place of the map.
 #[derive(Debug, Clone, PartialEq)]
@@ -51,7 +51,7 @@ impl Cube {
         let side = f64::from(size);
         // A pixel in the middle of a face is the largest.
         let finer = 2.0 / side / (std::f64::consts::PI / map.size.height() as f64);
-        let places = ((2.0 * finer).ceil() as usize).clamp(PLACES.0, PLACES.1);
+        let places = ((2.0 * finer).ceil() as usize).max(PLACES);
         let pixel = |face: usize, number: usize| {
             let (column, row) = ((number % size as usize) as f64, (number / size as usize) as f64);
             let (mut sum, mut all, mut flags) = ([0.0; 3], 0.0, 0);

@@ -167,15 +167,20 @@ fn compare(
         out.variance.iter_mut().for_each(|variance| *variance *= mean);
     }
     let (mut replaced, mut gained) = (0.0, 0.0);
+    let sum = |pixel: [f32; 3]| f64::from(pixel.iter().sum::<f32>());
     for i in 0..size.count() {
-        if flag(now, i) != 0 {
+        // Photographs that are saturated still say that it is brighter than before: a lamp that was switched on.
+        let is_bound = flag(now, i) == EnvironmentMap::LOWER_BOUND
+            && flag(map, i) & EnvironmentMap::LOWER_BOUND == 0
+            && sum(now.radiance[i]) > CHANGED * sum(out.radiance[i]);
+        if flag(now, i) != 0 && !is_bound {
             continue;
         }
         let angle = size.solid_angle(i / size.width()) / sphere;
         let was_unknown = flag(map, i) != 0;
         if was_unknown {
             gained += angle;
-        } else if is_other[cell_of(i)] {
+        } else if is_bound || is_other[cell_of(i)] {
             replaced += angle;
         } else {
             continue;
@@ -187,9 +192,8 @@ fn compare(
         if let (Some(to), Some(from)) = (out.coverage.get_mut(i), now.coverage.get(i)) {
             *to = *from;
         }
-        if let Some(flag) = out.flags.get_mut(i) {
-            *flag = 0;
-        }
+        out.flags.resize(size.count(), 0);
+        out.flags[i] = flag(now, i);
     }
     Ok(Updated { map: out, factor, sigma, is_changed, overlap, replaced, gained, turned_rad, new })
 }

@@ -125,7 +125,10 @@ impl Model {
     pub(super) fn add(&mut self, points: &[DVec3], place: &DMat4, faces: impl Iterator<Item = [u32; 3]>) {
         let first = self.points_m.len() as u32;
         self.points_m.extend(points.iter().map(|point| place.transform_point3(*point)));
-        self.faces.extend(faces.map(|face| face.map(|i| first.saturating_add(i))));
+        // A mirror turns what was counter-clockwise (glTF 2.0, 3.7.2.1).
+        let is_mirrored = place.determinant() < 0.0;
+        let turned = |[a, b, c]: [u32; 3]| if is_mirrored { [a, c, b] } else { [a, b, c] };
+        self.faces.extend(faces.map(|face| turned(face.map(|i| first.saturating_add(i)))));
     }
 }
 

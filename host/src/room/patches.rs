@@ -57,7 +57,8 @@ impl Room {
     pub fn patches(&self) -> Vec<Patch> {
         let known = |texel: &usize| {
             self.charts.area_m2[*texel] > 0.0
-                && self.flags[*texel] & (EnvironmentMap::UNSEEN | Self::NO_SURFACE) == 0
+                && self.flags[*texel] & (EnvironmentMap::UNSEEN | EnvironmentMap::FILLED | Self::NO_SURFACE)
+                    == 0
         };
         let bright = |texel: usize| luminance(self.radiance[texel].map(f64::from));
         let area = |texel: usize| f64::from(self.charts.area_m2[texel]);

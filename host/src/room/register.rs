@@ -77,7 +77,7 @@ pub fn read_pairs(path: &Path, size: LatLong) -> Result<Vec<Pair>> {
             (Some(x), Some(y), Some(z), ..) => DVec3::new(x, y, z),
             (.., Some(column), Some(row)) => {
                 let (width, height) = (size.width() as f64, size.height() as f64);
-                if !(-0.5..width).contains(&column) || !(-0.5..height).contains(&row) {
+                if !(-0.5..width - 0.5).contains(&column) || !(-0.5..height - 0.5).contains(&row) {
                     return Err(refuse(format!(
                         "pixel {column}, {row} is not in the map of {width}x{height}"
                     )));

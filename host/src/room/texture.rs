@@ -309,7 +309,16 @@ fn look(
 
 /// The mean of what maps see of a texel.
 fn mean(all: &[Vec<Seen>], texel: usize) -> Seen {
-    let seen = || all.iter().map(|map| map[texel]).filter(|seen| seen.weight > 0.0);
+    // What was measured stands against any bound or guess.
+    const DOUBT: Flag = EnvironmentMap::LOWER_BOUND | EnvironmentMap::FILLED;
+    let is_seen = |seen: &Seen| seen.weight > 0.0;
+    let is_sure = |seen: &Seen| is_seen(seen) && seen.flags & DOUBT == 0;
+    let any_sure = all.iter().any(|map| is_sure(&map[texel]));
+    let seen = || {
+        all.iter()
+            .map(|map| map[texel])
+            .filter(move |seen| if any_sure { is_sure(seen) } else { is_seen(seen) })
+    };
     let weight: f32 = seen().map(|seen| seen.weight).sum();
     if weight <= 0.0 {
         return Seen::default();

@@ -164,7 +164,7 @@ impl Quantised {
     /// The coarsest that costs at most `allowed_255` (mean absolute difference of exposed levels, of 255).
     ///
     /// # Errors
-    /// [`Error::Request`](crate::Error::Request) when the map's radiance has no positive median.
+    /// [`Error::Request`](crate::Error::Request) when the map's radiance has no positive median, or 16 bits do not suffice.
     pub fn within(map: &ParameterMap, allowed_255: f64) -> Result<Self> {
         let probe = Probe::new(map)?;
         let mut fineness = 1.0;
@@ -180,6 +180,16 @@ impl Quantised {
             }
             fineness *= factor;
             found = Self::with_fineness(map, &probe, fineness);
+        }
+        if found.error_255 > allowed_255 {
+            return Err(crate::Error::request(
+                format!(
+                    "{} cannot be told in 16 bits to {allowed_255} of 255, but to {:.1}",
+                    map.name(),
+                    found.error_255
+                ),
+                "export another model of this surface",
+            ));
         }
         Ok(found)
     }

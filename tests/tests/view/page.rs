@@ -105,7 +105,7 @@ fn the_page_shows_what_the_processor_draws() {
     std::fs::write(&path, &made.html).unwrap();
     let mut bad = vec![];
     for (i, map) in maps.iter().enumerate() {
-        assert!(made.errors_255[i] <= 0.5, "{}: {}", exhibits[i].name, made.errors_255[i]);
+        assert!(made.errors_255[i] <= 0.4, "{}: {}", exhibits[i].name, made.errors_255[i]);
         let (lens, pose) = cameras[i % cameras.len()];
         let (truth, gamma) = truth(map, &lens, &pose);
         let out = folder.path().join(format!("{i}.png"));
@@ -128,7 +128,8 @@ fn the_page_shows_what_the_processor_draws() {
             if map.models.len() > 1 { " and others" } else { "" },
             made.errors_255[i]
         );
-        if mean > 2.0 {
+        // The bar is 2; what it is on this machine, with some room.
+        if mean > 0.7 {
             bad.push(format!("{}: {mean}", exhibits[i].name));
         }
     }

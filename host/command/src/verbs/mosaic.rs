@@ -152,7 +152,7 @@ fn tell_tracker(fit: &TrackerFit, arguments: &Mosaic) {
 }
 
 /// Originals are never written over, `--force` or not.
-fn require_no_photograph(place: &Path, shots: &Shots) -> Result<()> {
+pub(super) fn require_no_photograph(place: &Path, shots: &Shots) -> Result<()> {
     let own = place.canonicalize().ok();
     let is_own = |shot: &Shot| own.is_some() && shot.path.canonicalize().ok() == own;
     match shots.shots.iter().any(is_own) {

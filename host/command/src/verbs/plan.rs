@@ -1,10 +1,10 @@
 //! `rigel plan`: which views next.
 
-use rigel::Result;
 use rigel::geometry::azimuth_zenith;
 use rigel::observation::ObservationMap;
 use rigel::plan::{Expected, ViewPlan, candidates, plan_views};
 use rigel::rig::Rig;
+use rigel::{Error, Result};
 
 use crate::arguments::Plan;
 use crate::bench::greet_named;
@@ -20,6 +20,17 @@ pub fn plan(arguments: &Plan) -> Result<()> {
     let map = ObservationMap::open(&arguments.observations)?;
     let out = arguments.out.clone().unwrap_or_else(|| arguments.observations.with_file_name("next.csv"));
     require_extension(&out, "csv")?;
+    let is_plan = |out: &std::path::Path| {
+        let first = std::fs::read_to_string(out).unwrap_or_default();
+        first.starts_with("azimuth_deg,zenith_deg")
+    };
+    if out.exists() && !is_plan(&out) {
+        return Err(Error::input(
+            &out,
+            "is there already, and is no plan",
+            "choose another name, or delete it",
+        ));
+    }
     let limits = arguments.rig.as_deref().map(greet_named).transpose()?.map(|(rig, _)| rig.limits());
     let candidates = candidates(limits.as_ref(), arguments.zenith_limit_deg.to_radians())?;
     let mut plan = plan_views(&map, &candidates, arguments.views, &Bar::new("planning"))?;

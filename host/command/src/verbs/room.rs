@@ -26,6 +26,15 @@ pub fn room(arguments: &Room) -> Result<()> {
     for name in FILES {
         require_place(&out.join(name), arguments.force)?;
     }
+    if arguments.look.is_some() {
+        require_place(&out.join("look.exr"), arguments.force)?;
+    }
+    for own in arguments.map.iter().chain(&arguments.pairs).chain([&arguments.model]) {
+        let place = out.join(own.file_name().unwrap_or_default());
+        if FILES.iter().any(|name| place.ends_with(name)) && is_same(&place, own) {
+            return Err(Error::input(own, "would be replaced", "choose another folder with --out"));
+        }
+    }
     let model = Model::read(&arguments.model)?;
     let maps: Vec<EnvironmentMap> =
         arguments.map.iter().map(|path| EnvironmentMap::read(path)).collect::<Result<_>>()?;
@@ -74,11 +83,13 @@ pub fn room(arguments: &Room) -> Result<()> {
         100.0 * lit.share(EnvironmentMap::LOWER_BOUND)
     );
     if let Some(centre) = arguments.look {
-        let file = out.join("look.exr");
-        require_place(&file, arguments.force)?;
-        look(&lit, centre, maps[0].size, &file)?;
+        look(&lit, centre, maps[0].size, &out.join("look.exr"))?;
     }
     Ok(())
+}
+
+fn is_same(a: &Path, b: &Path) -> bool {
+    a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b))
 }
 
 fn look(lit: &Lit, centre: DVec3, size: rigel::geometry::LatLong, file: &Path) -> Result<()> {

@@ -8,6 +8,7 @@ use rigel::{Error, Result};
 use crate::arguments::Update;
 use crate::progress::Bar;
 use crate::say::{count_of, say};
+use crate::verbs::mosaic::require_no_photograph;
 use crate::verbs::{require_extension, require_place};
 
 /// `rigel update`.
@@ -22,6 +23,7 @@ pub fn update(arguments: &Update) -> Result<()> {
     }
     let map = EnvironmentMap::read(&arguments.map)?;
     let shots = Shots::read(&arguments.shots)?;
+    require_no_photograph(&arguments.out, &shots)?;
     let lens = match &arguments.lens {
         None => None,
         Some(path) => {

@@ -29,7 +29,8 @@ impl Tracked {
         }
         let mut known = Known { off_rad: before.off_rad.clone(), ..start.clone() };
         let Some(scale) = self.adjust(views, &before, &mut known, ROUNDS) else { return start.clone() };
-        let tenth = |i: usize| i * PIECES / views.len();
+        let pieces = PIECES.min(views.len());
+        let tenth = |i: usize| i * pieces / views.len();
         let without = |piece: usize| {
             let rest: Vec<(usize, DQuat)> =
                 (0..views.len()).filter(|&i| tenth(i) != piece).map(|i| views[i]).collect();
@@ -37,7 +38,7 @@ impl Tracked {
             self.adjust(&rest, &before, &mut known, 4)?;
             Some(known.delay_s)
         };
-        let delays_s: Vec<f64> = (0..PIECES.min(views.len())).filter_map(without).collect();
+        let delays_s: Vec<f64> = (0..pieces).filter_map(without).collect();
         let mean = delays_s.iter().sum::<f64>() / delays_s.len().max(1) as f64;
         let squares: f64 = delays_s.iter().map(|delay| (delay - mean) * (delay - mean)).sum();
         let jackknife = squares * (1.0 - 1.0 / delays_s.len().max(1) as f64);
