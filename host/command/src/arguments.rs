@@ -626,7 +626,7 @@ pub struct Evaluate {
     #[arg(long, conflicts_with = "references", requires = "views")]
     pub session: Option<PathBuf>,
     /// Names of the session's views, such as view003,view010: those that the fit was made --without
-    #[arg(long, value_delimiter = ',', requires = "session")]
+    #[arg(long, value_delimiter = ',', conflicts_with = "references", requires = "session")]
     pub views: Vec<String>,
     /// Folder for errors.csv and the pictures [default: the map's name with -errors, beside it]
     #[arg(long)]

@@ -366,7 +366,8 @@ impl Room {
         let area = |texel: usize| f64::from(self.charts.area_m2[texel]);
         let with =
             (0..self.flags.len()).filter(|&texel| self.flags[texel] & flags != 0).map(area).sum::<f64>();
-        with / (0..self.flags.len()).map(area).sum::<f64>()
+        // A sum of nothing is -0.
+        (with / (0..self.flags.len()).map(area).sum::<f64>()).max(0.0)
     }
 
     fn note(&mut self) {

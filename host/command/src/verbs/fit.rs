@@ -202,9 +202,6 @@ pub fn render(arguments: &Render) -> Result<()> {
             "name a .png or .exr file",
         ));
     }
-    if extension == "exr" {
-        require_place_of(&arguments.out, Kind::Picture)?;
-    }
     require_place(&arguments.out, true)?;
     let map = ParameterMap::read(&arguments.map)?;
     let (lens, pose) = arguments.camera.place(&map.surface)?;

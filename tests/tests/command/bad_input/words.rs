@@ -233,7 +233,7 @@ fn what_is_wrong_is_said_before_the_work() {
         Case {
             spoil: nothing,
             arguments: &["evaluate", "phong.exr", "--references", "list.json", "--views", "view001"],
-            names: &["--references", "--session"],
+            names: &["--references", "--views"],
         },
         Case {
             spoil: nothing,
