@@ -9,6 +9,7 @@ mod cube;
 mod features;
 mod fill;
 mod gain;
+pub(crate) mod lattice;
 mod lights;
 mod map;
 mod merge;

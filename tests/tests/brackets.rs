@@ -55,17 +55,7 @@ fn photographs(folder: &Path, room: &EnvironmentMap, times_s: &[f64]) -> Shots {
 
 fn made(room: &EnvironmentMap, times_s: &[f64]) -> Mosaic {
     let folder = tempfile::tempdir().unwrap();
-    let options = Options {
-        size: room.size,
-        lens: None,
-        field_of_view_rad: None,
-        sigma_rad: 0.035,
-        refine: false,
-        response: None,
-        linear: false,
-        merge: MergeOptions { feather: 4, disagreement: Some(0.1) },
-        fill: false,
-    };
+    let options = Options { sigma_rad: 0.035, refine: false, ..Options::new(room.size) };
     mosaic(&photographs(folder.path(), room, times_s), &options, &Silent).unwrap()
 }
 

@@ -94,15 +94,10 @@ fn shots_of(folder: &Path, room: &Room, noise_rad: f64, tone: fn(f64) -> f64) ->
 
 fn options(refine: bool) -> Options {
     Options {
-        size: LatLong::new(512, 256).unwrap(),
-        lens: None,
-        field_of_view_rad: None,
         sigma_rad: 0.035,
         refine,
-        response: None,
-        linear: false,
         merge: MergeOptions { feather: 2, disagreement: Some(0.1) },
-        fill: false,
+        ..Options::new(LatLong::new(512, 256).unwrap())
     }
 }
 

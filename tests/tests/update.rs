@@ -55,15 +55,10 @@ fn photographs(folder: &Path, radiance: impl Fn(DVec3) -> [f64; 3], off_rad: f64
 
 fn made(map: &EnvironmentMap, shots: &Shots, refine: bool) -> rigel::Result<Updated> {
     let options = Options {
-        size: map.size,
-        lens: None,
-        field_of_view_rad: None,
         sigma_rad: 0.035,
         refine,
-        response: None,
-        linear: false,
         merge: MergeOptions { feather: 2, disagreement: Some(0.1) },
-        fill: false,
+        ..Options::new(map.size)
     };
     update(map, shots, &options, 0.02, &Silent)
 }

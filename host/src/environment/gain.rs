@@ -1,9 +1,10 @@
 //! One gain per photograph and channel, and what the overlaps tell of the lens's shading and of a response that nobody measured.
 
-use glam::{DQuat, DVec3};
+use glam::DQuat;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
+use super::lattice::evenly;
 use super::warp::Border;
 use crate::Result;
 use crate::geometry::Lens;
@@ -99,10 +100,7 @@ pub(super) fn solve(
     let looks: Vec<Vec<(usize, f64, [f32; 3])>> = (0..DIRECTIONS)
         .into_par_iter()
         .map(|i| {
-            let up = 1.0 - 2.0 * (i as f64 + 0.5) / DIRECTIONS as f64;
-            let (sin, cos) = (i as f64 * std::f64::consts::PI * (1.0 + 5f64.sqrt())).sin_cos();
-            let level = (1.0 - up * up).sqrt();
-            let direction = DVec3::new(sin * level, up, cos * level);
+            let direction = evenly(i, DIRECTIONS);
             let look = |(frame, (blocks, turn)): (usize, (&Blocks, &DQuat))| {
                 let at = blocks.lens.project(turn.inverse() * direction)?;
                 let (x, y) = (at.x.round(), at.y.round());

@@ -210,13 +210,3 @@ fn join(sums: &mut Vec<Sum>) -> bool {
 fn luminance([r, g, b]: [f64; 3]) -> f64 {
     0.2126 * r + 0.7152 * g + 0.0722 * b
 }
-
-/// Directions spread evenly over the sphere.
-fn lattice(count: usize) -> impl Iterator<Item = DVec3> {
-    let golden = std::f64::consts::PI * (1.0 + 5.0_f64.sqrt());
-    (0..count).map(move |i| {
-        let y = 1.0 - 2.0 * (i as f64 + 0.5) / count as f64;
-        let (level, (sin, cos)) = ((1.0 - y * y).sqrt(), (golden * i as f64).sin_cos());
-        DVec3::new(level * sin, y, level * cos)
-    })
-}

@@ -41,6 +41,23 @@ pub struct Options {
     pub fill: bool,
 }
 
+impl Options {
+    /// What suits photographs from the hand, for a map of this size: orientations good to two degrees, refined; levels as sRGB.
+    pub fn new(size: LatLong) -> Self {
+        Self {
+            size,
+            lens: None,
+            field_of_view_rad: None,
+            sigma_rad: 2f64.to_radians(),
+            refine: true,
+            response: None,
+            linear: false,
+            merge: MergeOptions { feather: 4, disagreement: Some(0.1) },
+            fill: false,
+        }
+    }
+}
+
 /// A photograph as it was found to be.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Placed {

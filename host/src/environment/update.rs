@@ -8,6 +8,7 @@ use nalgebra::{Matrix4, Vector4};
 use rayon::prelude::*;
 
 use super::EnvironmentMap;
+use super::lattice::evenly;
 use super::mosaic::{Mosaic, Options, mosaic};
 use super::shots::Shots;
 use crate::progress::Progress;
@@ -211,10 +212,7 @@ fn turn_to(map: &EnvironmentMap, new: &EnvironmentMap) -> DQuat {
             let sums = (0..DIRECTIONS)
                 .into_par_iter()
                 .filter_map(|i| {
-                    let y = 1.0 - 2.0 * (i as f64 + 0.5) / DIRECTIONS as f64;
-                    let (sin, cos) = (i as f64 * std::f64::consts::PI * (1.0 + 5f64.sqrt())).sin_cos();
-                    let level = (1.0 - y * y).sqrt();
-                    let direction = DVec3::new(level * sin, y, level * cos);
+                    let direction = evenly(i, DIRECTIONS);
                     let here = now.at(direction)?;
                     let to = turn * direction;
                     let mut row = Vector4::new(0.0, 0.0, 0.0, 1.0);

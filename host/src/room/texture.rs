@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use super::charts::Charts;
 use super::model::Model;
 use super::tree::Tree;
+use crate::environment::lattice::evenly;
 use crate::environment::{EnvironmentMap, Flag};
 use crate::progress::Progress;
 use crate::{Error, Result};
@@ -176,7 +177,7 @@ pub fn texture(model: Model, captures: &[Capture], size: u32, progress: &dyn Pro
     for (number, capture) in captures.iter().enumerate() {
         let lost = (0..DIRECTIONS)
             .into_par_iter()
-            .filter(|&i| tree.hit(capture.centre_m, spread(i), f64::INFINITY).is_none());
+            .filter(|&i| tree.hit(capture.centre_m, evenly(i, DIRECTIONS), f64::INFINITY).is_none());
         let lost = lost.count() as f64 / DIRECTIONS as f64;
         if lost > 0.0 {
             notes.push(format!(
@@ -245,14 +246,6 @@ fn check(number: usize, Capture { map, centre_m, map_from_model }: &Capture) -> 
         ));
     }
     Ok(())
-}
-
-/// Directions spread evenly over the sphere.
-fn spread(i: usize) -> DVec3 {
-    let y = 1.0 - 2.0 * (i as f64 + 0.5) / DIRECTIONS as f64;
-    let (level, (sin, cos)) =
-        ((1.0 - y * y).sqrt(), (i as f64 * std::f64::consts::PI * (1.0 + 5f64.sqrt())).sin_cos());
-    DVec3::new(level * sin, y, level * cos)
 }
 
 fn look(

@@ -3,9 +3,10 @@
 use rigel::shader::{Stored, source};
 use wgpu::{
     BindGroupLayout, BindGroupLayoutDescriptor, BindGroupLayoutEntry, BindingType, BufferBindingType,
-    ColorTargetState, ColorWrites, FragmentState, MultisampleState, PipelineLayoutDescriptor, PrimitiveState,
-    RenderPipeline, RenderPipelineDescriptor, SamplerBindingType, ShaderModuleDescriptor, ShaderSource,
-    ShaderStages, TextureFormat, TextureSampleType, TextureViewDimension, VertexState,
+    ColorTargetState, ColorWrites, Device, FragmentState, MultisampleState, PipelineLayout,
+    PipelineLayoutDescriptor, PrimitiveState, RenderPipeline, RenderPipelineDescriptor, SamplerBindingType,
+    ShaderModule, ShaderModuleDescriptor, ShaderSource, ShaderStages, TextureFormat, TextureSampleType,
+    TextureViewDimension, VertexState,
 };
 
 use crate::graphics::Graphics;
@@ -61,29 +62,7 @@ impl Pipelines {
             bind_group_layouts: &[Some(&layout)],
             immediate_size: 0,
         });
-        let pipeline = |fragment: &str, format| {
-            device.create_render_pipeline(&RenderPipelineDescriptor {
-                label: Some(fragment),
-                layout: Some(&pipeline_layout),
-                vertex: VertexState {
-                    module: &module,
-                    entry_point: Some("everywhere"),
-                    compilation_options: Default::default(),
-                    buffers: &[],
-                },
-                primitive: PrimitiveState::default(),
-                depth_stencil: None,
-                multisample: MultisampleState::default(),
-                fragment: Some(FragmentState {
-                    module: &module,
-                    entry_point: Some(fragment),
-                    compilation_options: Default::default(),
-                    targets: &[Some(ColorTargetState { format, blend: None, write_mask: ColorWrites::ALL })],
-                }),
-                multiview_mask: None,
-                cache: None,
-            })
-        };
+        let pipeline = |fragment, format| pipeline(device, Some(&pipeline_layout), &module, fragment, format);
         Self {
             by_pixel: pipeline("by_pixel", format),
             shade_texel: pipeline("shade_texel", SHADED),
@@ -92,4 +71,35 @@ impl Pipelines {
             layout,
         }
     }
+}
+
+/// What draws the whole target with an entry point of a shader.
+pub(crate) fn pipeline(
+    device: &Device,
+    layout: Option<&PipelineLayout>,
+    module: &ShaderModule,
+    fragment: &str,
+    format: TextureFormat,
+) -> RenderPipeline {
+    device.create_render_pipeline(&RenderPipelineDescriptor {
+        label: Some(fragment),
+        layout,
+        vertex: VertexState {
+            module,
+            entry_point: Some("everywhere"),
+            compilation_options: Default::default(),
+            buffers: &[],
+        },
+        primitive: PrimitiveState::default(),
+        depth_stencil: None,
+        multisample: MultisampleState::default(),
+        fragment: Some(FragmentState {
+            module,
+            entry_point: Some(fragment),
+            compilation_options: Default::default(),
+            targets: &[Some(ColorTargetState { format, blend: None, write_mask: ColorWrites::ALL })],
+        }),
+        multiview_mask: None,
+        cache: None,
+    })
 }

@@ -7,13 +7,13 @@ use rigel::shader::{camera_numbers, plain_source};
 use rigel::{Error, Result};
 use wgpu::{
     BindGroup, BindGroupDescriptor, BindGroupEntry, BindingResource, BufferDescriptor, BufferUsages,
-    ColorTargetState, ColorWrites, Extent3d, FilterMode, FragmentState, MultisampleState, Origin3d,
-    PrimitiveState, RenderPipeline, RenderPipelineDescriptor, SamplerDescriptor, ShaderModuleDescriptor,
-    ShaderSource, TextureDescriptor, TextureDimension, TextureFormat, TextureUsages, TextureView,
-    TextureViewDescriptor, TextureViewDimension, VertexState,
+    Extent3d, FilterMode, Origin3d, RenderPipeline, SamplerDescriptor, ShaderModuleDescriptor, ShaderSource,
+    TextureDescriptor, TextureDimension, TextureFormat, TextureUsages, TextureView, TextureViewDescriptor,
+    TextureViewDimension,
 };
 
 use crate::graphics::Graphics;
+use crate::pipelines::pipeline;
 use crate::scene::{PICTURE, View, pass};
 
 /// A map of one model with every coefficient in a float texture that the device interpolates.
@@ -91,31 +91,7 @@ impl Plain {
             label: None,
             source: ShaderSource::Wgsl(text.into()),
         });
-        let pipeline = device.create_render_pipeline(&RenderPipelineDescriptor {
-            label: Some("plain"),
-            layout: None,
-            vertex: VertexState {
-                module: &module,
-                entry_point: Some("everywhere"),
-                compilation_options: Default::default(),
-                buffers: &[],
-            },
-            primitive: PrimitiveState::default(),
-            depth_stencil: None,
-            multisample: MultisampleState::default(),
-            fragment: Some(FragmentState {
-                module: &module,
-                entry_point: Some("plain"),
-                compilation_options: Default::default(),
-                targets: &[Some(ColorTargetState {
-                    format: PICTURE,
-                    blend: None,
-                    write_mask: ColorWrites::ALL,
-                })],
-            }),
-            multiview_mask: None,
-            cache: None,
-        });
+        let pipeline = pipeline(device, None, &module, "plain", PICTURE);
         let uniform = device.create_buffer(&BufferDescriptor {
             label: None,
             size: size_of::<[[f32; 4]; 10]>() as u64,

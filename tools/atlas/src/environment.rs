@@ -190,15 +190,11 @@ struct Errors {
 
 fn options(tour: &Tour, refine: bool) -> Result<Options> {
     Ok(Options {
-        size: LatLong::new(64, 32)?,
         lens: Some(tour.lens),
-        field_of_view_rad: None,
         sigma_rad: 0.035,
         refine,
-        response: None,
-        linear: false,
         merge: MergeOptions { feather: 2, disagreement: Some(0.1) },
-        fill: false,
+        ..Options::new(LatLong::new(64, 32)?)
     })
 }
 

@@ -2,15 +2,13 @@
 
 use std::path::Path;
 
-use rigel::environment::{
-    EnvironmentMap, MergeOptions, Options, Shot, Shots, TrackerFit, Tracking, mosaic as make,
-};
+use rigel::environment::{EnvironmentMap, Options, Shot, Shots, TrackerFit, Tracking, mosaic as make};
 use rigel::geometry::LatLong;
 use rigel::picture::Picture;
 use rigel::view_file::Calibration;
 use rigel::{Error, Result};
 
-use crate::arguments::Mosaic;
+use crate::arguments::{Mosaic, Photographs};
 use crate::progress::Bar;
 use crate::say::say;
 use crate::verbs::{require_extension, require_place};
@@ -28,12 +26,7 @@ pub fn mosaic(arguments: &Mosaic) -> Result<()> {
     if let Some(picture) = &picture {
         require_place(picture, arguments.force)?;
     }
-    if !(arguments.sigma_deg.is_finite() && arguments.sigma_deg > 0.0) {
-        return Err(Error::request(
-            format!("--sigma {} is no standard deviation", arguments.sigma_deg),
-            "give degrees above 0, or --no-refine for orientations that are right",
-        ));
-    }
+    arguments.photographs.require()?;
     if let Some(delay_s) = arguments.delay_s.filter(|delay_s| delay_s.is_nan() || delay_s.abs() > 10.0) {
         return Err(Error::request(
             format!("--delay {delay_s} is no delay of a camera"),
@@ -57,25 +50,7 @@ pub fn mosaic(arguments: &Mosaic) -> Result<()> {
     for place in [Some(&arguments.out), picture.as_ref()].into_iter().flatten() {
         require_no_photograph(place, &shots)?;
     }
-    let lens = match &arguments.lens {
-        None => None,
-        Some(path) => {
-            let first = Picture::read(&shots.shots[0].path)?;
-            Some(Calibration::read(path, 0.0)?.lens(first.width, first.height))
-        }
-    };
-    let response = arguments.response.as_str();
-    let options = Options {
-        size,
-        lens,
-        field_of_view_rad: arguments.fov_deg.map(f64::to_radians),
-        sigma_rad: arguments.sigma_deg.to_radians(),
-        refine: !arguments.no_refine,
-        response: (!["srgb", "linear"].contains(&response)).then(|| response.into()),
-        linear: response == "linear",
-        merge: MergeOptions { feather: 4, disagreement: Some(0.1) },
-        fill: arguments.fill,
-    };
+    let options = Options { fill: arguments.fill, ..arguments.photographs.options(&shots, size)? };
     let made = make(&shots, &options, &bar).map_err(|error| error.about(&arguments.shots))?;
     if made.placed.iter().any(|placed| placed.matched > 0) {
         say!(
@@ -129,6 +104,40 @@ pub fn mosaic(arguments: &Mosaic) -> Result<()> {
     Ok(())
 }
 
+impl Photographs {
+    /// Refuses before the work what is no number of degrees.
+    pub(super) fn require(&self) -> Result<()> {
+        if self.sigma_deg.is_finite() && self.sigma_deg > 0.0 {
+            return Ok(());
+        }
+        Err(Error::request(
+            format!("--sigma {} is no standard deviation", self.sigma_deg),
+            "give degrees above 0, or --no-refine for orientations that are right",
+        ))
+    }
+
+    /// The same as options of a map of this size.
+    pub(super) fn options(&self, shots: &Shots, size: LatLong) -> Result<Options> {
+        let lens = match &self.lens {
+            None => None,
+            Some(path) => {
+                let first = Picture::read(&shots.shots[0].path)?;
+                Some(Calibration::read(path, 0.0)?.lens(first.width, first.height))
+            }
+        };
+        let response = self.response.as_str();
+        Ok(Options {
+            lens,
+            field_of_view_rad: self.fov_deg.map(f64::to_radians),
+            sigma_rad: self.sigma_deg.to_radians(),
+            refine: !self.no_refine,
+            response: (!["srgb", "linear"].contains(&response)).then(|| response.into()),
+            linear: response == "linear",
+            ..Options::new(size)
+        })
+    }
+}
+
 /// What was found of the tracker, or taken for granted.
 fn tell_tracker(fit: &TrackerFit, arguments: &Mosaic) {
     let askew = fit.mount.to_axis_angle().1;
@@ -144,7 +153,7 @@ fn tell_tracker(fit: &TrackerFit, arguments: &Mosaic) {
         fit.mount.x,
         fit.mount.y,
         fit.mount.z,
-        match arguments.no_refine {
+        match arguments.photographs.no_refine {
             true => "not looked for".into(),
             false => format!("{:.2} degrees", fit.drift_rad.to_degrees()),
         }

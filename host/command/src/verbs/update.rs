@@ -1,9 +1,7 @@
 //! New photographs of a part of the room bring its map up to date: `update`.
 
-use rigel::environment::{EnvironmentMap, MergeOptions, Options, Shots, update as bring_up};
-use rigel::picture::Picture;
-use rigel::view_file::Calibration;
-use rigel::{Error, Result};
+use rigel::Result;
+use rigel::environment::{EnvironmentMap, Shots, update as bring_up};
 
 use crate::arguments::Update;
 use crate::progress::Bar;
@@ -15,34 +13,11 @@ use crate::verbs::{require_extension, require_place};
 pub fn update(arguments: &Update) -> Result<()> {
     require_extension(&arguments.out, "exr")?;
     require_place(&arguments.out, arguments.force)?;
-    if !(arguments.sigma_deg.is_finite() && arguments.sigma_deg > 0.0) {
-        return Err(Error::request(
-            format!("--sigma {} is no standard deviation", arguments.sigma_deg),
-            "give degrees above 0, or --no-refine for orientations that are right",
-        ));
-    }
+    arguments.photographs.require()?;
     let map = EnvironmentMap::read(&arguments.map)?;
     let shots = Shots::read(&arguments.shots)?;
     require_no_photograph(&arguments.out, &shots)?;
-    let lens = match &arguments.lens {
-        None => None,
-        Some(path) => {
-            let first = Picture::read(&shots.shots[0].path)?;
-            Some(Calibration::read(path, 0.0)?.lens(first.width, first.height))
-        }
-    };
-    let response = arguments.response.as_str();
-    let options = Options {
-        size: map.size,
-        lens,
-        field_of_view_rad: arguments.fov_deg.map(f64::to_radians),
-        sigma_rad: arguments.sigma_deg.to_radians(),
-        refine: !arguments.no_refine,
-        response: (!["srgb", "linear"].contains(&response)).then(|| response.into()),
-        linear: response == "linear",
-        merge: MergeOptions { feather: 4, disagreement: Some(0.1) },
-        fill: false,
-    };
+    let options = arguments.photographs.options(&shots, map.size)?;
     let made = bring_up(&map, &shots, &options, arguments.threshold, &Bar::new("update"))
         .map_err(|error| error.about(&arguments.shots))?;
     for note in &made.new.notes {

@@ -3,7 +3,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::lattice;
+use crate::environment::lattice::evenly;
 
 /// Orientations of a surface on which the irradiance is compared.
 const ORIENTATIONS: usize = 128;
@@ -18,8 +18,8 @@ pub(super) struct Irradiance(pub(super) Vec<[f64; 3]>);
 impl Irradiance {
     /// Of lights: unit vectors and irradiance on a surface that faces them.
     pub fn of(lights: impl Iterator<Item = (DVec3, [f64; 3])>) -> Self {
-        let walls: Vec<DVec3> = lattice(WALLS).collect();
-        let normals: Vec<DVec3> = lattice(ORIENTATIONS).collect();
+        let walls: Vec<DVec3> = (0..WALLS).map(|i| evenly(i, WALLS)).collect();
+        let normals: Vec<DVec3> = (0..ORIENTATIONS).map(|i| evenly(i, ORIENTATIONS)).collect();
         let behind = |direction: DVec3| -> [f64; VALUES] {
             std::array::from_fn(|i| if i == 0 || walls[i - 1].dot(direction) > 0.0 { 1.0 } else { 0.0 })
         };

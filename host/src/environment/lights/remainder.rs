@@ -7,7 +7,7 @@ use glam::DVec3;
 use nalgebra::{DMatrix, DVector, Matrix4};
 
 use super::irradiance::Irradiance;
-use super::lattice;
+use crate::environment::lattice::evenly;
 
 /// Directions over which the irradiance of a harmonic is summed.
 const DIRECTIONS: usize = 8192;
@@ -90,7 +90,7 @@ impl Fit {
         let columns: Vec<Vec<[f64; 3]>> = (0..3)
             .map(|k| {
                 let of = |d: DVec3| (d, [0, 1, 2].map(|c| angle * harmonics(d)[3 * k + c]));
-                Irradiance::of(lattice(DIRECTIONS).map(of)).0
+                Irradiance::of((0..DIRECTIONS).map(|i| evenly(i, DIRECTIONS)).map(of)).0
             })
             .collect();
         let rows = DMatrix::from_fn(columns[0].len(), 9, |row, i| columns[i / 3][row][i % 3]);
@@ -223,7 +223,7 @@ mod tests {
         for order in 0..3 {
             let found = fit.remainder(&lamp, order);
             assert_eq!(found.order(), order);
-            for direction in lattice(5000) {
+            for direction in (0..5000).map(|i| evenly(i, 5000)) {
                 let radiance = found.radiance(direction);
                 assert!(radiance.iter().all(|&value| value > -1e-9), "{order} {radiance:?}");
                 assert!((radiance[1] - 2.0 * radiance[0]).abs() < 1e-6 && radiance[2] == 0.0);
@@ -238,9 +238,9 @@ mod tests {
     fn a_remainder_within_reach_is_found_and_its_irradiance_is_that_of_its_radiance() {
         let radiance = |d: DVec3| (0.9 + 0.5 * d.x - 0.3 * d.y).powi(2);
         let angle = 4.0 * std::f64::consts::PI / 20_000.0;
-        let lights = || lattice(20_000).map(|d| (d, [angle * radiance(d); 3]));
+        let lights = || (0..20_000).map(|i| evenly(i, 20_000)).map(|d| (d, [angle * radiance(d); 3]));
         let found = Fit::new().remainder(&Irradiance::of(lights()), 2);
-        for direction in lattice(50) {
+        for direction in (0..50).map(|i| evenly(i, 50)) {
             let error = found.radiance(direction)[0] - radiance(direction);
             assert!(error.abs() < 3e-3, "{error}");
             let sum: f64 = lights().map(|(d, light)| d.dot(direction).max(0.0) * light[0]).sum();
