@@ -14,6 +14,7 @@ mod lights;
 mod map;
 mod merge;
 mod mosaic;
+mod pages;
 mod plate;
 mod reduce;
 mod shots;

@@ -9,7 +9,7 @@ use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use rayon::prelude::*;
 use rigel::environment::{
-    EnvironmentMap, MergeOptions, Method, Mosaic, Options, Remainder, Shot, Shots, lights, mosaic,
+    EnvironmentMap, Light, Method, Mosaic, Options, Remainder, Shot, Shots, lights, mosaic,
 };
 use rigel::geometry::{Lens, world_from_camera};
 use rigel::progress::Silent;
@@ -81,17 +81,14 @@ fn brightest(map: &EnvironmentMap) -> (usize, DVec3) {
 
 #[test]
 fn a_room_seen_through_brackets_keeps_its_power_and_that_of_its_lamp() {
-    // The workshop's many small windows and lamps lose 6 to 8 %: not yet what is wanted.
-    for (name, most_of_all, most_of_lamp) in
-        [("studio.hdr", 0.02, 0.05), ("workshop.hdr", 0.09, f64::INFINITY)]
-    {
+    for name in ["studio.hdr", "workshop.hdr"] {
         let Some(path) = rigel_tests::data(&format!("environment/{name}")) else { return };
         let room = EnvironmentMap::read(&path).unwrap();
         // Each eight times as long as the one before; the shortest does not saturate on the brightest lamp.
         let times_s = [0.125f64.powi(4), 0.125f64.powi(3), 0.125f64.powi(2), 0.125, 1.0, 8.0];
         let made = made(&room, &times_s);
         let (_, lamp) = brightest(&room);
-        for (what, angle_deg, most) in [("all", 180.0, most_of_all), ("lamp", 5.0, most_of_lamp)] {
+        for (what, angle_deg, most) in [("all", 180.0, 0.02), ("lamp", 5.0, 0.05)] {
             let (own, truth) = (power(&made.map, lamp, angle_deg), power(&room, lamp, angle_deg));
             let off = [0, 1, 2].map(|c| own[c] / truth[c] - 1.0);
             println!(
@@ -126,6 +123,9 @@ fn a_lamp_that_saturates_every_exposure_is_a_lower_bound() {
     println!("measured: {:.2} % off", 100.0 * (own / truth - 1.0));
     assert!((own / truth - 1.0).abs() < 0.02);
     let found = lights(&made.map, Method::Joined(Remainder::MOST_ORDER), 0.03, 16).unwrap();
-    let brightest = &found.lights[0];
-    assert!(brightest.is_lower_bound && brightest.direction.angle_between(lamp).to_degrees() < 5.0);
+    // What saturates looks alike however bright it is, so that the brightest of the room need not be the first found.
+    let apart_deg = |light: &&Light| light.direction.angle_between(lamp).to_degrees();
+    let nearest = found.lights.iter().min_by(|a, b| apart_deg(a).total_cmp(&apart_deg(b))).unwrap();
+    println!("{:.1} degrees from the lamp: {nearest:?}", apart_deg(&nearest));
+    assert!(nearest.is_lower_bound && apart_deg(&nearest) < 5.0);
 }

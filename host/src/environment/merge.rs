@@ -10,6 +10,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use multiversion::multiversion;
 use rayon::prelude::*;
 
+use super::pages::zeros;
 use super::plate::{Noise, Plate};
 use super::warp::{CHUNK, Places, Sphere, columns, look};
 use crate::Result;
@@ -17,8 +18,9 @@ use crate::progress::Progress;
 
 /// Rows and columns of a tile.
 const TILE: (usize, usize) = (32, 2 * CHUNK);
-/// What a plate says is a measurement from this validity on, else a lower bound.
-const MEASURED: f32 = 0.5;
+/// What a plate says is a measurement from this validity on, else a lower bound: beside a lamp that saturates a long exposure, a smaller
+/// one would take the dark around it for the lamp.
+const MEASURED: f32 = 0.98;
 
 /// How plates are merged.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -39,7 +41,7 @@ pub struct Merged {
     pub variance: Vec<f32>,
     /// How many photographs show the pixel.
     pub coverage: Vec<u16>,
-    /// How much of the weight was measured, 0 to 1: 0 where what is known is a lower bound, else a half at least.
+    /// How much of the weight was measured, 0 to 1: 0 where what is known is a lower bound, else nearly all.
     pub measured: Vec<f32>,
 }
 
@@ -92,10 +94,10 @@ pub fn merge(
 ) -> Result<Merged> {
     let (width, height) = (sphere.size.width(), sphere.size.height());
     let mut merged = Merged {
-        radiance: vec![[0.0; 3]; width * height],
-        variance: vec![0.0; width * height],
-        coverage: vec![0; width * height],
-        measured: vec![0.0; width * height],
+        radiance: zeros(width * height),
+        variance: zeros(width * height),
+        coverage: zeros(width * height),
+        measured: zeros(width * height),
     };
     let covers: Vec<Cover> = plates.par_iter().map(|plate| Cover::new(plate, sphere)).collect();
     let done = AtomicUsize::new(0);

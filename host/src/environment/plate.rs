@@ -1,10 +1,8 @@
 //! A photograph made ready to be put on the sphere: radiance of every pixel, how far it counts, and where the camera looked.
 
-use std::ops::{Deref, DerefMut};
-
 use glam::DQuat;
-use memmap2::MmapMut;
 
+use super::pages::zeros;
 use super::reduce::{reduce, spline_coefficients};
 use super::warp::{Border, Filter, View};
 use crate::geometry::{LatLong, Lens};
@@ -44,7 +42,7 @@ pub struct Plate {
     pub(super) noise: Noise,
     /// Columns between the beginnings of two rows of `pixels`, which has [`BORDER`] more pixels on every side.
     pub(super) stride: usize,
-    pub(super) pixels: Pixels,
+    pub(super) pixels: Vec<[f32; 4]>,
     filter: Filter,
 }
 
@@ -82,9 +80,9 @@ impl Plate {
             let pixels: Vec<[f32; 4]> = (0..width * height).map(weighed).collect();
             let size = (lens.width as usize, lens.height as usize);
             let pixels = reduce(&pixels, (width, height), size);
-            padded(size, filter, |i| pixels[i])?
+            padded(size, filter, |i| pixels[i])
         } else {
-            padded((width, height), filter, weighed)?
+            padded((width, height), filter, weighed)
         };
         let stride = lens.width as usize + 2 * BORDER;
         Ok(Self { view: View::new(&lens, world_from_camera, border), noise, stride, pixels, filter })
@@ -101,7 +99,7 @@ fn padded(
     (width, height): (usize, usize),
     filter: Filter,
     pixel: impl Fn(usize) -> [f32; 4],
-) -> Result<Pixels> {
+) -> Vec<[f32; 4]> {
     if filter != Filter::Spline {
         return bordered((width, height), pixel);
     }
@@ -110,9 +108,9 @@ fn padded(
     bordered((width, height), |i| coefficients[i])
 }
 
-fn bordered((width, height): (usize, usize), pixel: impl Fn(usize) -> [f32; 4]) -> Result<Pixels> {
+fn bordered((width, height): (usize, usize), pixel: impl Fn(usize) -> [f32; 4]) -> Vec<[f32; 4]> {
     let stride = width + 2 * BORDER;
-    let mut pixels = Pixels::zeroed(stride * (height + 2 * BORDER))?;
+    let mut pixels = zeros(stride * (height + 2 * BORDER));
     let rows = BORDER * stride..(BORDER + height) * stride;
     for (row, line) in pixels[rows].chunks_exact_mut(stride).enumerate() {
         let numbers = row * width..(row + 1) * width;
@@ -126,38 +124,5 @@ fn bordered((width, height): (usize, usize), pixel: impl Fn(usize) -> [f32; 4]) 
         let last = BORDER + height - 1;
         pixels.copy_within(stride * last..stride * (last + 1), stride * (last + 1 + row));
     }
-    Ok(pixels)
-}
-
-/// Pixels on large pages of memory where the system has them: bringing small ones in took a sixth of a mosaic's time.
-pub(super) struct Pixels(MmapMut);
-
-impl Pixels {
-    fn zeroed(count: usize) -> Result<Self> {
-        let bytes = count * size_of::<[f32; 4]>();
-        let memory = MmapMut::map_anon(bytes).map_err(|_| {
-            Error::request(
-                format!("a photograph that needs {} MB of memory beside the others", bytes >> 20),
-                "take fewer or smaller photographs",
-            )
-        })?;
-        #[cfg(target_os = "linux")]
-        // Small pages do as well, but for the time.
-        let _ = memory.advise(memmap2::Advice::HugePage);
-        Ok(Self(memory))
-    }
-}
-
-impl Deref for Pixels {
-    type Target = [[f32; 4]];
-
-    fn deref(&self) -> &Self::Target {
-        bytemuck::cast_slice(&self.0)
-    }
-}
-
-impl DerefMut for Pixels {
-    fn deref_mut(&mut self) -> &mut Self::Target {
-        bytemuck::cast_slice_mut(&mut self.0)
-    }
+    pixels
 }
