@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
 
+use std::f64::consts::PI;
 use std::path::Path;
 
 use glam::{DQuat, DVec2, DVec3};
@@ -9,6 +10,7 @@ use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use rigel::environment::{EnvironmentMap, MergeOptions, Mosaic, Options, Placed, Shot, Shots, mosaic};
 use rigel::geometry::{LatLong, Lens, world_from_camera};
+use rigel::picture::Picture;
 use rigel::progress::Silent;
 
 const LENS: (u32, u32, f64) = (320, 240, 240.0);
@@ -101,8 +103,13 @@ fn options(refine: bool) -> Options {
     }
 }
 
-/// How far every photograph's orientation is from the truth. A turn that all share cannot be seen: it is that of the mean.
+/// How far every photograph's orientation is from the truth.
 fn apart_rad(made: &Mosaic, truth: &[DQuat]) -> Vec<f64> {
+    apart(made, truth).0
+}
+
+/// The same, and the turn that all share, which cannot be seen: that of the mean, from the map's world to the truth's.
+fn apart(made: &Mosaic, truth: &[DQuat]) -> (Vec<f64>, DQuat) {
     let off = |common: DQuat| -> Vec<DVec3> {
         let off = |(placed, truth): (&Placed, &DQuat)| {
             let off = *truth * (common * placed.world_from_camera).inverse();
@@ -115,7 +122,7 @@ fn apart_rad(made: &Mosaic, truth: &[DQuat]) -> Vec<f64> {
         let all = off(common);
         common = DQuat::from_scaled_axis(all.iter().sum::<DVec3>() / all.len() as f64) * common;
     }
-    off(common).iter().map(|off| off.length()).collect()
+    (off(common).iter().map(|off| off.length()).collect(), common)
 }
 
 /// Relative error of the map after one common factor: median and 99th percentile over the sphere, turned by `common`.
@@ -270,6 +277,63 @@ fn a_real_tour_closes_although_the_orientations_given_do_not() {
     let turns = [6, 7].map(|i| made.placed[i].world_from_camera);
     let gap = between(given[6], given[7]).angle_between(between(turns[0], turns[1])).to_degrees();
     assert!((2.5..4.5).contains(&gap), "{gap} degrees");
+}
+
+/// The panorama that another program (Hugin) made of the same photographs: how far its levels go with the logarithm of a map's radiance. Its longitudes
+/// times `stretch` are the map's before `turn`.
+fn correlation(map: &EnvironmentMap, reference: &Picture, turn: DQuat, stretch: f64) -> f64 {
+    let size = LatLong::new(reference.width, reference.height).unwrap();
+    let (mut n, mut sum, mut products) = (0.0, [0.0; 2], [0.0; 3]);
+    for i in (0..size.count()).step_by(7) {
+        let (x, y) = ((i % size.width()) as f64, (i / size.width()) as f64);
+        let along =
+            DQuat::from_rotation_y((stretch - 1.0) * PI * (1.0 - 2.0 * (x + 0.5) / size.width() as f64));
+        let (radiance, seen, _) = map.toward(turn * along * size.direction(DVec2::new(x, y)));
+        if seen > 0.999 {
+            let a = radiance.iter().sum::<f64>().max(1e-4).ln();
+            let b: f64 = reference.levels[i].iter().map(|&level| f64::from(level)).sum();
+            n += 1.0;
+            sum = [sum[0] + a, sum[1] + b];
+            products = [products[0] + a * a, products[1] + a * b, products[2] + b * b];
+        }
+    }
+    assert!(n > 0.6 * size.count() as f64 / 7.0, "too little was seen");
+    let [aa, ab, bb] = products;
+    (ab - sum[0] * sum[1] / n) / ((aa - sum[0] * sum[0] / n) * (bb - sum[1] * sum[1] / n)).sqrt()
+}
+
+/// As given, the orientations are those of that panorama. The adjustment that closes has the focal length that closes, and longitudes
+/// that are shorter by as much.
+#[test]
+fn the_map_of_a_real_tour_is_what_another_program_made_of_it() {
+    let Some(folder) = rigel_tests::data("panorama/durlach_hugin") else { return };
+    let reference = Picture::read(folder.join("reference_pano.jpg")).unwrap();
+    let mut shots = Shots::read(&folder).unwrap();
+    let given: Vec<DQuat> = shots.shots.iter().map(|shot| shot.world_from_camera).collect();
+    let focal = shots.lens.unwrap().fx;
+    let size = LatLong::new(1024, 512).unwrap();
+    let made = mosaic(&shots, &Options { refine: false, ..Options::new(size) }, &Silent).unwrap();
+    let as_given = correlation(&made.map, &reference, DQuat::IDENTITY, 1.0);
+    let mut random = StdRng::seed_from_u64(7);
+    for shot in &mut shots.shots {
+        let off = DVec3::from_array(std::array::from_fn(|_| random.random_range(-1.7..1.7)));
+        shot.world_from_camera *= DQuat::from_scaled_axis(off * 2f64.to_radians());
+    }
+    let made = mosaic(&shots, &Options::new(size), &Silent).unwrap();
+    let stretch = focal / made.lens.fx;
+    let closed: Vec<DQuat> = given
+        .iter()
+        .map(|turn| {
+            let axis = *turn * DVec3::Z;
+            DQuat::from_rotation_y((stretch - 1.0) * axis.x.atan2(axis.z)) * *turn
+        })
+        .collect();
+    let (mut off, common) = apart(&made, &closed);
+    off.sort_by(f64::total_cmp);
+    println!("median {:.3} degrees from those given, longitudes shortened", off[off.len() / 2].to_degrees());
+    let refined = correlation(&made.map, &reference, common.inverse(), stretch);
+    println!("correlation as given {as_given:.4}, refined from two degrees off {refined:.4}");
+    assert!(as_given > 0.965 && refined > 0.965, "{as_given} {refined}");
 }
 
 #[test]
