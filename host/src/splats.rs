@@ -1,12 +1,15 @@
 //! A parameter map as Gaussian splats, in the PLY format of Kerbl et al. 2023 ("3D Gaussian Splatting"): flat splats for each texel,
-//! its colour in spherical harmonics up to degree 3.
+//! its colour in spherical harmonics up to degree 3. Neighbours overlap, and their colours make up for it.
 //!
 //! The format's colour is 0.5 + Σ c Y(v) with v from the camera to the splat, and real harmonics whose odd orders are negated
 //! (the Condon-Shortley phase); colours are levels of a picture, not radiance, so that the harmonics are fitted to exposed
 //! levels. Lengths are metres, in the surface's frame.
 
+mod overlap;
+
 use glam::{DVec2, Vec3};
 use nalgebra::DMatrix;
+use overlap::{Harmonics, Overlap, blend};
 use rayon::prelude::*;
 
 use crate::geometry::Texels;
@@ -23,14 +26,21 @@ const DIRECTIONS: usize = 160;
 const ZENITH_LIMIT_DEG: f64 = 80.0;
 /// What roughness costs: below the horizon nothing holds the harmonics.
 const RIDGE: f64 = 1e-4;
-/// The standard deviation of a splat, of the distance between two: no gaps and little blur.
-const SIGMA: f64 = 0.7;
-/// Texels are divided into 2 x 2 or 3 x 3 splats, so that neighbours blur them less, as long as there are no more than these.
+/// The standard deviation of a splat, of the distance between two: the largest blurs texels, the smallest leaves gaps.
+const SIGMA: f64 = 0.67;
+/// Texels are divided into 2 x 2 or 3 x 3 splats, which blur them less, as long as there are no more than these (a file of 150 MB);
+/// a larger map has one for each texel.
 const MOST_SPLATS: usize = 600_000;
 /// Its thickness, of its width.
 const FLATNESS: f64 = 0.01;
 /// The logit of 0.995: renderers clip at 0.99.
 const OPACITY_LOGIT: f32 = 5.3;
+const CLIP: f64 = 0.99;
+/// The level that the format adds to the harmonics.
+const MIDDLE: f32 = 0.5;
+/// So many splats at the border are not judged, and so many along each side are.
+const BORDER: u32 = 4;
+const TRIED: usize = 128;
 /// Of the function of degree 0.
 const Y0: f32 = 0.282_094_8;
 
@@ -45,6 +55,9 @@ pub struct Splats {
     pub mean_255: f64,
     /// What 95 % of the levels are within.
     pub most_255: f64,
+    /// What overlap costs beside: mean absolute difference between the harmonics' levels and those that overlapping splats show, of
+    /// 255, at and between the texels.
+    pub overlap_255: f64,
 }
 
 /// The real spherical harmonics up to degree 3 with the format's signs, of a unit vector.
@@ -102,62 +115,134 @@ pub fn splats(map: &ParameterMap, gamma: f32, progress: &dyn Progress) -> Result
     let basis = DMatrix::from_fn(directions.len(), FUNCTIONS, |i, j| rows[i][j]);
     let solver = solver(&basis)?;
     let (columns, lines) = (map.texels.columns, map.texels.rows);
-    let parts =
-        (1..=3usize).rev().find(|parts| parts * parts * map.texels.count() <= MOST_SPLATS).unwrap_or(1);
-    let count = parts * parts * map.texels.count();
-    let mut ply = header(count).into_bytes();
-    let (mut sum, mut histogram) = (0.0, vec![0u64; 2551]);
-    let scale = [
-        (SIGMA * map.surface.width_m / (f64::from(columns) * parts as f64)).ln() as f32,
-        (SIGMA * map.surface.height_m / (f64::from(lines) * parts as f64)).ln() as f32,
-    ];
-    let thin = scale[0].min(scale[1]) + FLATNESS.ln() as f32;
+    let (mut sum, mut histogram, mut wanted) =
+        (0.0, vec![0u64; 2551], Vec::with_capacity(map.texels.count()));
     for row in 0..lines {
-        progress.step(row as usize, lines as usize)?;
-        let of_row: Vec<(Vec<f32>, Vec<f32>)> = (0..columns)
+        progress.step(row as usize, 2 * lines as usize)?;
+        let of_row: Vec<(Harmonics, Vec<f32>)> = (0..columns)
             .into_par_iter()
             .map(|column| {
                 let at = DVec2::new(column.into(), row.into());
                 let levels = |direction: &Vec3| map.radiance_at(at, *direction).map(|l| expose(l, gamma));
                 let levels: Vec<[f32; 3]> = directions.iter().map(levels).collect();
-                let levels = DMatrix::from_fn(levels.len(), 3, |i, c| levels[i][c] - 0.5);
+                let levels = DMatrix::from_fn(levels.len(), 3, |i, c| levels[i][c] - MIDDLE);
                 let found = &solver * &levels;
                 // A level is never negative in the renderer.
-                let off = (&basis * &found).zip_map(&levels, |a, b| 255.0 * (a.max(-0.5) - b).abs());
-                let mut values = vec![0.0, 0.0, 1.0];
-                values.extend((0..3).map(|c| found[(0, c)]));
-                // All of red, then green, then blue.
-                values.extend((0..3).flat_map(|c| (1..FUNCTIONS).map(move |i| (i, c))).map(|at| found[at]));
-                values.extend([OPACITY_LOGIT, scale[0], scale[1], thin, 1.0, 0.0, 0.0, 0.0]);
-                (values, off.iter().copied().collect())
+                let off = (&basis * &found).zip_map(&levels, |a, b| 255.0 * (a.max(-MIDDLE) - b).abs());
+                let mut absolute = Harmonics::from_fn(|i, c| found[(i, c)]);
+                absolute.row_mut(0).add_scalar_mut(MIDDLE / Y0);
+                (absolute, off.iter().copied().collect())
             })
             .collect();
-        let fine = Texels { columns: columns * parts as u32, rows: lines * parts as u32 };
-        for (column, (values, off)) in of_row.into_iter().enumerate() {
-            for part in 0..parts * parts {
-                let [x, y] = [column * parts + part % parts, row as usize * parts + part / parts];
-                let point = map.surface.texel_centre(fine, x as u32, y as u32).as_vec3().to_array();
-                ply.extend(point.iter().chain(&values).flat_map(|value| value.to_le_bytes()));
-            }
+        for (harmonics, off) in of_row {
+            wanted.push(harmonics);
             for off in off {
                 sum += f64::from(off);
                 histogram[((10.0 * off) as usize).min(2550)] += 1;
             }
         }
     }
-    progress.step(lines as usize, lines as usize)?;
     let levels: u64 = histogram.iter().sum();
     let mut seen = 0;
     let within = histogram.iter().position(|bin| {
         seen += bin;
         seen as f64 >= 0.95 * levels as f64
     });
+    let parts =
+        (1..=3u32).rev().find(|parts| (parts * parts) as usize * wanted.len() <= MOST_SPLATS).unwrap_or(1);
+    let grid = Grid { texels: map.texels, parts, wanted };
+    let fine = grid.fine();
+    let pitch_m = DVec2::new(map.surface.width_m, map.surface.height_m)
+        / DVec2::new(fine.columns.into(), fine.rows.into());
+    let overlap = Overlap::new(pitch_m, &directions)?;
+    let mut splats = Vec::with_capacity(fine.count());
+    for row in 0..fine.rows as i32 {
+        let done = lines as usize + row as usize / parts as usize;
+        progress.step(done, 2 * lines as usize)?;
+        let of_row = (0..fine.columns as i32).into_par_iter();
+        let of_row = of_row.map(|column| overlap.made_up(|step| grid.at(column + step[0], row + step[1])));
+        splats.par_extend(of_row);
+    }
+    let overlap_255 = grid.difference_255(&splats, &overlap, &directions);
+    let scale = pitch_m.to_array().map(|pitch_m| (SIGMA * pitch_m).ln() as f32);
+    let thin = scale[0].min(scale[1]) + FLATNESS.ln() as f32;
+    let mut ply = header(splats.len()).into_bytes();
+    for (index, harmonics) in splats.iter().enumerate() {
+        let (column, row) = (index as u32 % fine.columns, index as u32 / fine.columns);
+        let mut values = map.surface.texel_centre(fine, column, row).as_vec3().to_array().to_vec();
+        values.extend([0.0, 0.0, 1.0]);
+        values.extend((0..3).map(|c| harmonics[(0, c)] - MIDDLE / Y0));
+        // All of red, then green, then blue.
+        values.extend((0..3).flat_map(|c| (1..FUNCTIONS).map(move |i| (i, c))).map(|at| harmonics[at]));
+        values.extend([OPACITY_LOGIT, scale[0], scale[1], thin, 1.0, 0.0, 0.0, 0.0]);
+        ply.extend(values.iter().flat_map(|value| value.to_le_bytes()));
+    }
+    progress.step(2 * lines as usize, 2 * lines as usize)?;
     Ok(Splats {
         ply,
-        count,
+        count: splats.len(),
         mean_255: sum / levels as f64,
         most_255: (within.unwrap_or(2550) + 1) as f64 / 10.0,
+        overlap_255,
     })
+}
+
+/// The harmonics that are to be seen at the texels, with levels from black on.
+struct Grid {
+    texels: Texels,
+    /// How many splats a texel has along each side.
+    parts: u32,
+    wanted: Vec<Harmonics>,
+}
+
+impl Grid {
+    fn fine(&self) -> Texels {
+        Texels { columns: self.texels.columns * self.parts, rows: self.texels.rows * self.parts }
+    }
+
+    /// Those at a splat: texels are blended, and continue beyond the border.
+    fn at(&self, column: i32, row: i32) -> Harmonics {
+        let last = DVec2::new(f64::from(self.texels.columns - 1), f64::from(self.texels.rows - 1));
+        let at = (DVec2::new(column.into(), row.into()) + 0.5) / f64::from(self.parts) - 0.5;
+        let at = at.clamp(DVec2::ZERO, last);
+        let texel = |step: [i32; 2]| {
+            let [x, y] = (at.floor() + DVec2::new(step[0].into(), step[1].into())).min(last).to_array();
+            self.wanted[y as usize * self.texels.columns as usize + x as usize]
+        };
+        if self.parts == 1 {
+            return texel([0, 0]);
+        }
+        blend(at.fract()).into_iter().map(|(step, share)| texel(step) * share as f32).sum()
+    }
+
+    /// Mean absolute difference between what is to be seen and what the splats show, of 255, where the surface goes on all around.
+    fn difference_255(&self, splats: &[Harmonics], overlap: &Overlap, directions: &[Vec3]) -> f64 {
+        let fine = self.fine();
+        let inner = |side: u32| (BORDER..side.saturating_sub(BORDER)).step_by((side as usize / TRIED).max(1));
+        let (mut sum, mut count) = (0.0, 0);
+        for (column, row) in inner(fine.rows).flat_map(|row| inner(fine.columns).map(move |c| (c, row))) {
+            // Another place and direction each time.
+            let direction = directions[count % directions.len()];
+            let at = DVec2::new(count as f64 * 0.618_034, count as f64 * 0.754_878).fract();
+            let y = functions(-direction);
+            let level = |harmonics: Harmonics| {
+                [0, 1, 2].map(|c| (0..FUNCTIONS).map(|i| y[i] * harmonics[(i, c)]).sum::<f32>().max(0.0))
+            };
+            let (column, row) = (column as i32, row as i32);
+            let mixed = |weights: Vec<([i32; 2], f64)>, of: &dyn Fn(i32, i32) -> Harmonics| {
+                weights.into_iter().fold([0.0; 3], |sum, (step, weight)| {
+                    let levels = level(of(column + step[0], row + step[1]));
+                    [0, 1, 2].map(|c| sum[c] + weight * f64::from(levels[c]))
+                })
+            };
+            let shown = |x: i32, y: i32| splats[y as usize * fine.columns as usize + x as usize];
+            let seen = mixed(overlap.weights(direction, at), &shown);
+            let wanted = mixed(blend(at), &|x, y| self.at(x, y));
+            sum += (0..3).map(|c| 255.0 * (seen[c] - wanted[c]).abs()).sum::<f64>() / 3.0;
+            count += 1;
+        }
+        sum / (count as f64).max(1.0)
+    }
 }
 
 fn header(count: usize) -> String {
