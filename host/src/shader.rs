@@ -3,10 +3,12 @@
 //! One WGSL text serves the window and, translated, the page. It evaluates radiance and blends that, as
 //! [`ParameterMap::radiance_at`] does; coefficients are never interpolated.
 
+mod detail;
 mod packed;
 mod source;
 #[cfg(test)]
 mod tests;
 
+pub use detail::{SMOOTH, sharpness};
 pub use packed::{Packed, Stored};
 pub use source::{Look, camera_numbers, plain_source, source};

@@ -15,7 +15,7 @@ pub use quantise::Quantised;
 
 use crate::parameter_map::ParameterMap;
 use crate::progress::Progress;
-use crate::shader::Packed;
+use crate::shader::{Packed, SMOOTH, sharpness};
 use crate::{Error, Result};
 
 /// A map and what a page says of it.
@@ -89,6 +89,8 @@ fn described(exhibit: &Exhibit, packed: &Packed, quantised: &Quantised) -> Resul
         "height_m": map.surface.height_m,
         "gamma": quantised.gamma,
         "scale": packed.scale,
+        // By texel where texels are no larger, per distance from the surface.
+        "smooth": SMOOTH / sharpness(map).sqrt(),
         "models": quantised.layout(&packed.models),
         "shaders": {
             "vertex": glsl::vertex(&packed.models)?,

@@ -151,34 +151,55 @@ async function load(number) {
   const largest = gl.getParameter(gl.MAX_TEXTURE_SIZE);
   const { places, words, rows } = vectors(map, await unpacked(map.data));
   if (Math.max(map.columns, map.rows, rows, ROW) > largest) throw new Error(`this map needs textures of ${Math.max(map.columns, map.rows, rows, ROW)} cells, and this browser takes ${largest}`);
-  if (shown) { for (const old of [shown.places, shown.words, shown.shaded]) if (old) gl.deleteTexture(old); }
-  const made = { map, number };
+  if (shown) {
+    for (const old of [shown.places, shown.words, shown.shaded]) if (old) gl.deleteTexture(old);
+    for (const old of Object.values(shown.programs)) gl.deleteProgram(old);
+  }
+  const made = { map, number, programs: {} };
   made.places = texture(1, gl.R32UI, map.columns, map.rows, gl.RED_INTEGER, gl.UNSIGNED_INT, places);
   made.words = texture(2, gl.RGBA32UI, ROW, rows, gl.RGBA_INTEGER, gl.UNSIGNED_INT, words);
   const canShade = gl.getExtension("EXT_color_buffer_float") || gl.getExtension("EXT_color_buffer_half_float");
   if (canShade) {
     made.shaded = texture(3, gl.RGBA16F, map.columns, map.rows, gl.RGBA, gl.HALF_FLOAT, null);
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
+    // With room for all averages.
+    gl.generateMipmap(gl.TEXTURE_2D);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.LINEAR);
     made.frame = gl.createFramebuffer();
     gl.bindFramebuffer(gl.FRAMEBUFFER, made.frame);
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, made.shaded, 0);
-    made.byTexel = gl.checkFramebufferStatus(gl.FRAMEBUFFER) === gl.FRAMEBUFFER_COMPLETE;
+    made.canShade = gl.checkFramebufferStatus(gl.FRAMEBUFFER) === gl.FRAMEBUFFER_COMPLETE;
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
   }
-  const { vertex, by_pixel, shade_texel, by_texel } = map.shaders;
-  if (made.byTexel) {
-    made.shade = program(vertex, shade_texel);
-    made.draw = program(vertex, by_texel);
-  } else made.draw = program(vertex, by_pixel);
   shown = made;
-  byId("facts").replaceChildren(...map.facts.concat(made.byTexel ? [] : ["this browser cannot draw into textures of half floats: every pixel evaluates the model, which is slower"]).map((fact) => {
+  byId("facts").replaceChildren(...map.facts.concat(made.canShade ? [] : ["this browser cannot draw into textures of half floats: every pixel evaluates the model, which is slower"]).map((fact) => {
     const item = document.createElement("li");
     item.textContent = fact;
     return item;
   }));
   byId("map").value = number;
   tell(`${map.name}, ${map.columns} × ${map.rows} texels`);
+}
+
+// A shader of the shown map, translated by the browser when it is needed first.
+function shader(name) {
+  const { programs, map } = shown;
+  return (programs[name] = programs[name] || program(map.shaders.vertex, map.shaders[name]));
+}
+
+// As the window decides (host/view/src/scene.rs): by texel where that looks the same, and is not more work or averages are needed.
+function isByTexel(seen) {
+  const { map } = shown, size = Math.max(map.width_m / map.columns, map.height_m / map.rows);
+  if (!shown.canShade || size > map.smooth * Math.max(seen.centre[2], 1e-9)) return false;
+  return averages(seen) > 0 || map.columns * map.rows <= 4 * canvas.width * canvas.height;
+}
+
+// How many averages are needed where a pixel covers many texels.
+function averages(seen) {
+  const { map } = shown, across = (map.width_m / 2) * Math.abs(seen.forward[0]) + (map.height_m / 2) * Math.abs(seen.forward[1]);
+  const farthest = across - seen.centre[0] * seen.forward[0] - seen.centre[1] * seen.forward[1] - seen.centre[2] * seen.forward[2];
+  const covered = farthest / Math.min(seen.fx, seen.fy) / Math.min(map.width_m / map.columns, map.height_m / map.rows);
+  return Math.min(Math.max(Math.ceil(Math.log2(Math.max(covered, 1e-9)) - 1), 0), Math.floor(Math.log2(Math.max(map.columns, map.rows))));
 }
 
 // The camera's axes (x right, y down, z forward) and its lens.
@@ -201,6 +222,7 @@ function draw() {
   if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
   if (fixed && fixed.width) [canvas.style.width, canvas.style.height] = [`${width}px`, `${height}px`];
   const seen = camera(), gamma = (seen.gamma || map.gamma) * 2 ** view.exposure;
+  const byTexel = isByTexel(seen), levels = byTexel ? averages(seen) : 0;
   const numbers = new Float32Array(40);
   numbers.set(seen.right, 0);
   numbers.set(seen.down, 4);
@@ -209,23 +231,24 @@ function draw() {
   numbers.set([seen.fx, seen.fy, seen.cx, seen.cy], 16);
   numbers.set([map.width_m, map.height_m, map.columns, map.rows], 24);
   numbers.set([gamma, map.scale, 0, view.colours ? 1 : 0], 28);
-  numbers.set(fixed ? [0, 0, 0, 0] : [0.0863, 0.0941, 0.1059, 0], 32);
+  numbers.set([...(fixed ? [0, 0, 0] : [0.0863, 0.0941, 0.1059]), levels], 32);
   numbers.set([width, height], 36);
   gl.bufferData(gl.UNIFORM_BUFFER, numbers, gl.DYNAMIC_DRAW);
   const unit = (place, made) => { gl.activeTexture(gl.TEXTURE0 + place); gl.bindTexture(gl.TEXTURE_2D, made); };
   unit(1, shown.places);
   unit(2, shown.words);
-  if (shown.byTexel) {
+  if (byTexel) {
     unit(3, null);
     gl.bindFramebuffer(gl.FRAMEBUFFER, shown.frame);
     gl.viewport(0, 0, map.columns, map.rows);
-    gl.useProgram(shown.shade);
+    gl.useProgram(shader("shade_texel"));
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     unit(3, shown.shaded);
+    if (levels > 0) gl.generateMipmap(gl.TEXTURE_2D);
   }
   gl.viewport(0, 0, width, height);
-  gl.useProgram(shown.draw);
+  gl.useProgram(shader(byTexel ? "by_texel" : "by_pixel"));
   gl.drawArrays(gl.TRIANGLES, 0, 3);
   document.documentElement.dataset.drawn = String(shown.number);
 }
@@ -234,7 +257,10 @@ let waiting = false;
 function redraw() {
   if (waiting) return;
   waiting = true;
-  requestAnimationFrame(() => { waiting = false; draw(); });
+  requestAnimationFrame(() => {
+    waiting = false;
+    try { draw(); } catch (error) { tell(`This map cannot be shown: ${error.message}`); }
+  });
 }
 
 function turn(azimuth, zenith) {

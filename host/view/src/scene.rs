@@ -1,10 +1,9 @@
 //! A parameter map on the device.
 
 use bytemuck::cast_slice;
-use rigel::fit::Model;
 use rigel::geometry::{Lens, Pose, Surface, Texels};
 use rigel::parameter_map::ParameterMap;
-use rigel::shader::{Look, Packed, camera_numbers};
+use rigel::shader::{Look, Packed, SMOOTH, camera_numbers, sharpness};
 use rigel::{Error, Result};
 use wgpu::{
     BindGroup, BindGroupDescriptor, BindGroupEntry, BindingResource, BufferDescriptor, BufferUsages, Color,
@@ -15,10 +14,6 @@ use wgpu::{
 
 use crate::graphics::Graphics;
 use crate::pipelines::{Pipelines, SHADED};
-
-/// The radiance of two neighbouring texels, toward the camera from each one's centre and from a point between them, may differ
-/// by about half of this part of a lobe's top.
-const SMOOTH: f64 = 0.06;
 
 /// The format of pictures that are read back.
 pub const PICTURE: TextureFormat = TextureFormat::Rgba8Unorm;
@@ -31,7 +26,7 @@ pub enum Shading {
     /// Once for each texel, from its centre: faster, filtered where a pixel covers many texels, and indistinguishable where texels
     /// are small beside the sharpest highlight.
     ByTexel,
-    /// By texel where that is indistinguishable and not more work, else by pixel.
+    /// By texel where that is indistinguishable, and not more work or needed because a pixel covers many texels; else by pixel.
     #[default]
     Automatic,
 }
@@ -55,7 +50,7 @@ pub struct Scene {
     texels: Texels,
     scale: f32,
     format: TextureFormat,
-    /// The largest shininess, or what a basis can show that is as sharp.
+    /// See [`sharpness()`].
     sharpness: f64,
     pipelines: Pipelines,
     uniform: wgpu::Buffer,
@@ -65,29 +60,6 @@ pub struct Scene {
     levels: Vec<TextureView>,
     /// To make each level but the first from the one before.
     halve: Vec<BindGroup>,
-}
-
-fn sharpness(map: &ParameterMap) -> f64 {
-    let mut most = 1f64;
-    for row in 0..map.texels.rows {
-        for column in 0..map.texels.columns {
-            let (model, parameters) = map.texel(column, row);
-            let of = match model {
-                Model::Constant => 0.0,
-                Model::LogQuadratic => {
-                    parameters[9..18].iter().fold(0.0, |most: f64, value| most.max(f64::from(value.abs())))
-                }
-                Model::Phong { .. } => {
-                    parameters[3..].chunks_exact(7).fold(0.0, |most: f64, lobe| most.max(f64::from(lobe[3])))
-                }
-                Model::SharedPhong { .. } => f64::from(parameters[3]),
-                // The narrowest lobe of degree n falls off as cos^m of m about n².
-                Model::Harmonics { order, .. } => f64::from(order).powi(2),
-            };
-            most = most.max(of);
-        }
-    }
-    most
 }
 
 impl Scene {
@@ -179,7 +151,7 @@ impl Scene {
                 let nearest_m = view.pose.centre_m.z.max(1e-9);
                 let pixels = f64::from(view.lens.width) * f64::from(view.lens.height);
                 size_m / nearest_m * self.sharpness.sqrt() <= SMOOTH
-                    && self.texels.count() as f64 <= 4.0 * pixels
+                    && (self.averages(view) > 0 || self.texels.count() as f64 <= 4.0 * pixels)
             }
         }
     }
