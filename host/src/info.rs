@@ -12,7 +12,7 @@ use exr::prelude::attribute::AttributeValue;
 pub use thumbnail::thumbnail;
 
 use crate::environment::EnvironmentMap;
-use crate::observation::ObservationMap;
+use crate::observation::{ObservationMap, exr_file, zarr};
 use crate::parameter_map::ParameterMap;
 use crate::radiance::{RadianceImage, Response};
 use crate::session::Session;
@@ -33,6 +33,8 @@ pub enum Kind {
     Picture,
     /// Radiance against direction for every texel.
     Observations,
+    /// The same for other programs: an OpenEXR file or a Zarr store.
+    Exchange,
     /// What a camera's levels are worth.
     Response,
     /// A lens with its covariance.
@@ -81,6 +83,14 @@ const TABLES: [(&str, &str); 10] = [
 /// # Errors
 /// [`Error::Io`] when it cannot be read; [`Error::Input`] when it is damaged, or nothing that Rigel writes.
 pub fn info(path: &Path) -> Result<Info> {
+    if zarr::is_store(path) {
+        let facts = ["radiance and sigma as arrays, with their axes", "open it with zarr or xarray"];
+        return Ok(Info {
+            kind: Kind::Exchange,
+            title: "a Zarr store, such as `rigel export --zarr` writes".into(),
+            facts: facts.map(str::to_owned).into(),
+        });
+    }
     if path.is_dir() {
         return session(path);
     }
@@ -244,6 +254,7 @@ fn open_exr(path: &Path) -> Result<Info> {
         let masked = image.mask.iter().filter(|mask| **mask != 0).count();
         let mut facts = vec![
             size,
+            "uncompressed: noise hardly gets smaller".into(),
             format!("{:.2} % of the pixels masked", 100.0 * masked as f64 / image.mask.len().max(1) as f64),
         ];
         facts.extend(text("rigelResponse").map(|response| format!("response: {response}")));
@@ -262,6 +273,12 @@ fn open_exr(path: &Path) -> Result<Info> {
         ];
         facts.extend(software);
         made(Kind::Environment, "radiance from every direction, latitude-longitude, y up", facts)
+    } else if has(exr_file::KIND) {
+        let views =
+            header.channels.list.iter().filter(|channel| channel.name.to_string().ends_with(".sigma"));
+        let mut facts = vec![size, format!("{} views, a layer each, and their mean", views.count())];
+        facts.extend(software);
+        made(Kind::Exchange, "observations: radiance of every texel, a layer for each view", facts)
     } else {
         let channels: Vec<String> =
             header.channels.list.iter().map(|channel| channel.name.to_string()).collect();

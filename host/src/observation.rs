@@ -1,10 +1,12 @@
 //! The observation map: per texel, every view's radiance against direction.
 
 mod build;
+pub(crate) mod exr_file;
 mod gain;
 mod map;
 mod place;
 mod sample;
+pub(crate) mod zarr;
 
 use std::borrow::Cow;
 

@@ -2,6 +2,11 @@
 
 #![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
 
+#[allow(dead_code, reason = "each test uses a part of it")]
+mod common;
+#[path = "see/observations.rs"]
+mod observations;
+
 use std::path::Path;
 use std::process::{Command, Output};
 
@@ -62,7 +67,7 @@ fn what_is_no_map_is_no_page() {
         (vec!["export", "picture.exr", "--web", "a.html"], "is no parameter map"),
         (vec!["export", "none.exr", "--web", "a.html"], "check the path"),
         (vec!["export", "phong.exr", "--web", "a.txt"], ".html"),
-        (vec!["export", "phong.exr", "phong.exr", "--splats", "a.ply"], "name one map"),
+        (vec!["export", "phong.exr", "phong.exr", "--splats", "a.ply"], "name one"),
         (vec!["export", "phong.exr"], "--web"),
         (vec!["info", "none"], "check the path"),
     ] {
@@ -124,4 +129,15 @@ fn every_file_says_what_it_is_and_maps_have_a_picture() {
         assert!(!output.status.success() && said(&output).contains(name), "{}", said(&output));
         assert!(!said(&output).contains("panicked"));
     }
+}
+
+#[test]
+fn a_picture_from_below_the_lowest_view_says_that_it_is_extrapolated() {
+    let folder = common::workshop();
+    let render = |tilt: &str| {
+        common::succeed(folder.path(), &["render", "phong.exr", "--tilt", tilt, "--out", "picture.png"])
+    };
+    assert!(render("70").contains("100.0 % of the surface's pixels are extrapolated"));
+    assert!(!render("20").contains("extrapolated"));
+    assert!(common::succeed(folder.path(), &["info", "phong.exr"]).contains("measured down to zenith"));
 }

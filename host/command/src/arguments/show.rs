@@ -69,24 +69,30 @@ pub enum ShadingChoice {
 }
 
 #[derive(Args)]
-#[command(group = ArgGroup::new("what").required(true).args(["web", "splats"]))]
+#[command(group = ArgGroup::new("what").required(true).args(["web", "splats", "exr", "zarr"]))]
 pub struct Export {
-    /// Parameter maps: a page holds several, splats one
-    #[arg(required = true)]
+    /// Parameter maps: a page holds several, splats one. For --exr and --zarr observations (observations.rigel, or a session)
+    #[arg(required = true, value_name = "FILE")]
     pub maps: Vec<PathBuf>,
     /// One page that needs no network
     #[arg(long, value_name = "FILE")]
     pub web: Option<PathBuf>,
     /// Gaussian splats for the viewers of that format, with harmonics up to degree 3
-    #[arg(long, value_name = "FILE", conflicts_with = "web")]
+    #[arg(long, value_name = "FILE")]
     pub splats: Option<PathBuf>,
+    /// Observations as OpenEXR, a layer for each view
+    #[arg(long, value_name = "FILE")]
+    pub exr: Option<PathBuf>,
+    /// Observations as a Zarr store (version 2), which numpy's and xarray's users read
+    #[arg(long, value_name = "FOLDER")]
+    pub zarr: Option<PathBuf>,
     /// Gamma of the exposure function y = 1 - exp(-gamma x) that splats show [default: half grey for the median]
-    #[arg(long, value_parser = super::parse_gamma, conflicts_with = "web")]
+    #[arg(long, value_parser = super::parse_gamma, conflicts_with_all = ["web", "exr", "zarr"])]
     pub gamma: Option<f32>,
     /// The page's title [default: the first map's name]
-    #[arg(long, conflicts_with = "splats")]
+    #[arg(long, conflicts_with_all = ["splats", "exr", "zarr"])]
     pub title: Option<String>,
-    /// Replace the file that is there
+    /// Replace what is there
     #[arg(long)]
     pub force: bool,
 }

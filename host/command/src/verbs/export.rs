@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use rigel::file::write_bytes;
+use rigel::observation::ObservationMap;
 use rigel::parameter_map::ParameterMap;
 use rigel::splats::splats;
 use rigel::web::{Exhibit, Quantised, page};
@@ -10,23 +11,59 @@ use rigel::{Error, Result};
 
 use crate::arguments::Export;
 use crate::progress::Bar;
-use crate::say::say;
+use crate::say::{count_of, say};
 use crate::verbs::{require_extension, require_place};
 
 /// `rigel export`.
 pub fn export(arguments: &Export) -> Result<()> {
-    match (&arguments.web, &arguments.splats) {
-        (Some(out), _) => web(arguments, out),
-        (None, Some(out)) => write_splats(arguments, out),
-        (None, None) => Err(Error::request("nothing to export to", "give --web FILE or --splats FILE")),
+    let Export { web, splats, exr, zarr, .. } = arguments;
+    match (web, splats, exr, zarr) {
+        (Some(out), ..) => write_page(arguments, out),
+        (_, Some(out), ..) => write_splats(arguments, out),
+        (_, _, Some(out), _) => write_observations(arguments, out, "exr"),
+        (.., Some(out)) => write_observations(arguments, out, "zarr"),
+        (None, None, None, None) => Err(Error::request(
+            "nothing to export to",
+            "give --web FILE, --splats FILE, --exr FILE or --zarr FOLDER",
+        )),
     }
+}
+
+/// The only one of the files, where `what` holds one.
+fn only<'a>(arguments: &'a Export, what: &str) -> Result<&'a Path> {
+    match arguments.maps.as_slice() {
+        [path] => Ok(path),
+        maps => Err(Error::request(
+            format!("{} files are not one {what}", maps.len()),
+            "name one, and a result of its own for each other",
+        )),
+    }
+}
+
+fn write_observations(arguments: &Export, out: &Path, extension: &str) -> Result<()> {
+    let path = only(arguments, "observation map")?;
+    require_extension(out, extension)?;
+    require_place(out, arguments.force)?;
+    let of_session = path.join("observations.rigel");
+    let map = ObservationMap::open(if path.is_dir() { &of_session } else { path })?;
+    let bar = Bar::new("writing");
+    if extension == "exr" { map.write_exr(out, &bar) } else { map.write_zarr(out, &bar) }?;
+    let header = map.header();
+    say!(
+        "wrote {}: {} of {}x{} texels, in the session's radiance; not a number where a view measured none",
+        out.display(),
+        count_of(header.views.len(), "view"),
+        header.texels.columns,
+        header.texels.rows
+    );
+    Ok(())
 }
 
 fn name(path: &Path) -> String {
     path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-fn web(arguments: &Export, out: &Path) -> Result<()> {
+fn write_page(arguments: &Export, out: &Path) -> Result<()> {
     require_extension(out, "html")?;
     require_place(out, arguments.force)?;
     let exhibit = |path: &std::path::PathBuf| {
@@ -45,12 +82,7 @@ fn web(arguments: &Export, out: &Path) -> Result<()> {
 }
 
 fn write_splats(arguments: &Export, out: &Path) -> Result<()> {
-    let [path] = arguments.maps.as_slice() else {
-        return Err(Error::request(
-            format!("{} maps are not one file of splats", arguments.maps.len()),
-            "name one map, and a file of its own for each other",
-        ));
-    };
+    let path = only(arguments, "file of splats")?;
     require_extension(out, "ply")?;
     require_place(out, arguments.force)?;
     let map = ParameterMap::read(path)?;
@@ -58,12 +90,13 @@ fn write_splats(arguments: &Export, out: &Path) -> Result<()> {
     let splats = splats(&map, gamma, &Bar::new("reducing"))?;
     write_bytes(out, &splats.ply)?;
     say!(
-        "wrote {}: {} splats, {:.1} MB, exposed with gamma {gamma:.4}; harmonics up to degree 3 cost {:.1} of 255 (95 % within {:.1}) down to zenith 80 degrees",
+        "wrote {}: {} splats, {:.1} MB, exposed with gamma {gamma:.4}; harmonics up to degree 3 cost {:.1} of 255 (95 % within {:.1}) down to zenith 80 degrees, their overlap {:.1}",
         out.display(),
         splats.count,
         splats.ply.len() as f64 / 1e6,
         splats.mean_255,
-        splats.most_255
+        splats.most_255,
+        splats.overlap_255
     );
     Ok(())
 }

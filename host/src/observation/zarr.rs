@@ -1,0 +1,174 @@
+//! Observations for programs that read arrays: a Zarr store (version 2), a folder with a file for each chunk.
+
+use std::fs;
+use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use rayon::prelude::*;
+use serde_json::{Value, json};
+
+use super::ObservationMap;
+use crate::file::write_beside;
+use crate::progress::Progress;
+use crate::{Error, Result};
+
+/// The names of a store's files.
+const GROUP: &str = ".zgroup";
+const ARRAY: &str = ".zarray";
+const ATTRIBUTES: &str = ".zattrs";
+/// Of zlib: the fastest that compresses; noise does not get much smaller.
+const LEVEL: u8 = 1;
+const ORDER: char = if cfg!(target_endian = "big") { '>' } else { '<' };
+/// xarray's name for the names of an array's axes.
+const DIMENSIONS: &str = "_ARRAY_DIMENSIONS";
+
+/// Whether a folder is a Zarr store.
+pub(crate) fn is_store(path: &Path) -> bool {
+    path.join(GROUP).is_file()
+}
+
+impl ObservationMap {
+    /// Writes a Zarr store (version 2, zlib): `radiance` (row, column, view, channel) and `sigma` (row, column, view) as 32-bit floats,
+    /// not a number where a view measured nothing, a tile of the map in each chunk; `centre` (view, axis; metres), `x` (column) and `y`
+    /// (row; metres) as 64-bit floats; names and units as attributes. A store that stands there is replaced. `progress` counts tiles.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when something else stands there; [`Error::Io`]; [`Error::Interrupted`].
+    pub fn write_zarr(&self, path: &Path, progress: &dyn Progress) -> Result<()> {
+        if path.exists() && !is_store(path) {
+            return Err(Error::input(
+                path,
+                "is there already, and is no Zarr store",
+                "choose another name, or delete it",
+            ));
+        }
+        let header = self.header();
+        let (texels, tile, views) = (header.texels, header.tile, header.views.len());
+        let size = |columns: u32, rows: u32| [rows as usize, columns as usize];
+        let (all, chunk) = (size(texels.columns, texels.rows), size(tile.columns, tile.rows));
+        let names: Vec<&str> = header.views.iter().map(|view| view.name.as_str()).collect();
+        let about = json!({
+            "made_by": concat!("rigel ", env!("CARGO_PKG_VERSION")),
+            "about": "what each view measured of each texel of a surface: x right, y up, z out of it; row 0 is the top one",
+            "surface_m": [header.surface.width_m, header.surface.height_m],
+            "views": names,
+        });
+        let centres = header.views.iter().flat_map(|view| view.centre_m.to_array()).collect();
+        let centre = |column, row| header.surface.texel_centre(texels, column, row);
+        write_beside(path, |folder| {
+            let store = Store { folder, path };
+            store.make("")?;
+            store.json(GROUP, &json!({ "zarr_format": 2 }))?;
+            store.json(ATTRIBUTES, &about)?;
+            let radiance = json!({ DIMENSIONS: ["row", "column", "view", "channel"], "units": "the session's radiance, linear, channels R G B" });
+            store.array(
+                "radiance",
+                "f4",
+                &[&all[..], &[views, 3]].concat(),
+                &[&chunk[..], &[views, 3]].concat(),
+                &radiance,
+            )?;
+            let sigma =
+                json!({ DIMENSIONS: ["row", "column", "view"], "units": "standard deviation, as radiance" });
+            store.array(
+                "sigma",
+                "f4",
+                &[&all[..], &[views]].concat(),
+                &[&chunk[..], &[views]].concat(),
+                &sigma,
+            )?;
+            let metres = |dimensions: &[&str], what: &str| json!({ DIMENSIONS: dimensions, "units": "m", "long_name": what });
+            store.whole("centre", &[views, 3], centres, &metres(&["view", "axis"], "of the camera"))?;
+            store.whole(
+                "x",
+                &all[1..],
+                (0..texels.columns).map(|i| centre(i, 0).x).collect(),
+                &metres(&["column"], "of the texels"),
+            )?;
+            store.whole(
+                "y",
+                &all[..1],
+                (0..texels.rows).map(|i| centre(0, i).y).collect(),
+                &metres(&["row"], "of the texels"),
+            )?;
+            let gains = header.views.iter().map(|view| view.gain).collect();
+            store.whole(
+                "gain",
+                &[views],
+                gains,
+                &json!({ DIMENSIONS: ["view"], "long_name": "the radiance was divided by it" }),
+            )?;
+            let (tiles, done) = (header.tiles(), AtomicUsize::new(0));
+            (0..tiles.count()).into_par_iter().try_for_each(|number| {
+                progress.step(done.fetch_add(1, Ordering::Relaxed), tiles.count())?;
+                let [radiance, sigma] = self.chunk(number)?;
+                let at = [number as u32 / tiles.columns, number as u32 % tiles.columns];
+                store.chunk(&format!("radiance/{}.{}.0.0", at[0], at[1]), &radiance)?;
+                store.chunk(&format!("sigma/{}.{}.0", at[0], at[1]), &sigma)
+            })?;
+            progress.step(tiles.count(), tiles.count())?;
+            if is_store(path) {
+                fs::remove_dir_all(path).map_err(Error::io("replace", path))?;
+            }
+            Ok(())
+        })
+    }
+
+    /// One tile's radiance and its standard deviation: texel by texel, view by view.
+    fn chunk(&self, number: usize) -> Result<[Vec<f32>; 2]> {
+        let (tile, views) = (self.header().tile, self.header().views.len());
+        let mut sigma = vec![f32::NAN; tile.count() * views];
+        let mut radiance = vec![f32::NAN; 3 * sigma.len()];
+        for ((column, row), texel) in self.tile(number)? {
+            let slot = (row % tile.rows * tile.columns + column % tile.columns) as usize;
+            for (i, view) in texel.view.iter().enumerate() {
+                let place = slot * views + *view as usize;
+                sigma[place] = texel.sigma[i];
+                radiance[3 * place..3 * place + 3].copy_from_slice(&texel.radiance[i]);
+            }
+        }
+        Ok([radiance, sigma])
+    }
+}
+
+/// A store that is being written.
+struct Store<'a> {
+    folder: &'a Path,
+    /// Where it will be.
+    path: &'a Path,
+}
+
+impl Store<'_> {
+    fn make(&self, name: &str) -> Result<()> {
+        fs::create_dir(self.folder.join(name)).map_err(Error::io("create", self.path.join(name)))
+    }
+
+    fn file(&self, name: &str, bytes: &[u8]) -> Result<()> {
+        fs::write(self.folder.join(name), bytes).map_err(Error::io("write", self.path.join(name)))
+    }
+
+    fn json(&self, name: &str, value: &Value) -> Result<()> {
+        self.file(name, value.to_string().as_bytes())
+    }
+
+    /// An array without its chunks.
+    fn array(&self, name: &str, kind: &str, shape: &[usize], chunks: &[usize], about: &Value) -> Result<()> {
+        self.make(name)?;
+        let meta = json!({
+            "zarr_format": 2, "shape": shape, "chunks": chunks, "dtype": format!("{ORDER}{kind}"), "order": "C", "fill_value": "NaN", "filters": null,
+            "compressor": { "id": "zlib", "level": LEVEL },
+        });
+        self.json(&format!("{name}/{ARRAY}"), &meta)?;
+        self.json(&format!("{name}/{ATTRIBUTES}"), about)
+    }
+
+    /// An array in one chunk.
+    fn whole(&self, name: &str, shape: &[usize], values: Vec<f64>, about: &Value) -> Result<()> {
+        self.array(name, "f8", shape, shape, about)?;
+        self.chunk(&format!("{name}/{}", vec!["0"; shape.len()].join(".")), &values)
+    }
+
+    fn chunk<T: bytemuck::NoUninit>(&self, name: &str, values: &[T]) -> Result<()> {
+        self.file(name, &miniz_oxide::deflate::compress_to_vec_zlib(bytemuck::cast_slice(values), LEVEL))
+    }
+}
