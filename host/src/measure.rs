@@ -374,8 +374,8 @@ fn vignetting(session: &Session, response: &Response, noise: &NoiseModel) -> Res
     Vignetting::fit(&pictures, response, noise).map(Some)
 }
 
-/// Everything on which the radiance depends, as text: the response, noise and vignetting, and every photograph as it stands on
-/// the disk (its length and time of change).
+/// Everything on which the radiance depends, as text: the response, noise and vignetting, and what every photograph on the disk holds:
+/// a copied session is the same.
 fn made_from(
     session: &Session,
     views: &[usize],
@@ -391,12 +391,12 @@ fn made_from(
     }
     let mut text =
         format!("response {:x}\n{noise:?}\n{vignetting:?}\n{times:?}\n{merge:?}\n", hasher.finish());
-    for photograph in views.iter().flat_map(|&view| session.photographs(view)) {
-        let path = session.photograph_path(photograph);
-        let metadata = fs::metadata(&path).map_err(Error::io("read", &path))?;
-        let (length, changed) = (metadata.len(), metadata.modified().map_err(Error::io("read", &path))?);
+    let photographs: Vec<_> = views.iter().flat_map(|&view| session.photographs(view)).collect();
+    let hashed = |photograph: &&_| file::sha256(&session.photograph_path(photograph));
+    let contents: Vec<(u64, String)> = photographs.par_iter().map(hashed).collect::<Result<_>>()?;
+    for (photograph, (_, sha256)) in photographs.into_iter().zip(contents) {
         let (view, file, exposure_s) = (photograph.view, &photograph.file, photograph.exposure_s);
-        let _ = writeln!(text, "{view} {file} {exposure_s:?} {length} {changed:?}");
+        let _ = writeln!(text, "{view} {file} {exposure_s:?} {sha256}");
     }
     Ok(text)
 }

@@ -49,6 +49,8 @@ pub struct Diagnostics {
     pub flags: Vec<FitFlags>,
     /// The names of the views that the fit has seen; empty in maps of which that is not known.
     pub seen: Vec<String>,
+    /// The largest zenith angle of these views, from the centre of the surface, radians; what is farther down is extrapolated.
+    pub zenith_rad: Option<f64>,
     /// By what light the radiance was divided that the fit has seen, see [`Header::photometry`](crate::observation::Header::photometry).
     pub photometry: Option<String>,
     /// Where each texel has a model of its own: index into `models` of the one that was nearly taken.

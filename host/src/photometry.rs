@@ -112,6 +112,18 @@ pub fn find(session: &Session, options: &Options, progress: &dyn Progress) -> Re
                 "give its centre from the centre of the surface, x right and y up",
             ));
         }
+        let shows = |view: u32| patch.texels.iter().any(|texel| texel.observations.view.contains(&view));
+        let blind: Vec<&str> =
+            (0..).zip(&names).filter(|(view, _)| !shows(*view)).map(|(_, name)| *name).collect();
+        found.notes.push(match blind.as_slice() {
+            [] => format!("the reference patch is seen in all {} views", names.len()),
+            blind => format!(
+                "warning: the reference patch is seen in {} of {} views only; of the lamp in the others ({}) it tells nothing",
+                names.len() - blind.len(),
+                names.len(),
+                blind.join(", ")
+            ),
+        });
         let reference = estimate(&patch, views.len(), Model::Constant, None, progress)?;
         lamp(&reference, &Views { direction: &[], time: &order }, &names, &mut found);
         found.notes.extend(told.and_then(|told| reference.contradiction(&told)));

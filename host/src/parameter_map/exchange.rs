@@ -29,6 +29,7 @@ const PALETTE: &str = "fit.palette";
 const SIGMA: &str = "fit.sigma";
 const FLOOR: &str = "rigelSigmaFloor";
 const SEEN: &str = "rigelViews";
+const MEASURED_ZENITH: &str = "rigelMeasuredZenithDeg";
 const PHOTOMETRY: &str = "rigelPhotometry";
 const ZENITH: &str = "rigelSigmaZenith";
 const UNIT: &str = "the radiance of the session's pictures; metres, of a COLMAP model its own unit of length";
@@ -128,6 +129,10 @@ impl ParameterMap {
         {
             let names = Text::from(diagnostics.seen.join(",").as_str());
             attributes.other.insert(Text::from(SEEN), AttributeValue::Text(names));
+        }
+        if let Some(zenith_rad) = self.diagnostics.as_ref().and_then(|diagnostics| diagnostics.zenith_rad) {
+            let zenith_deg = AttributeValue::F64(zenith_rad.to_degrees());
+            attributes.other.insert(Text::from(MEASURED_ZENITH), zenith_deg);
         }
         if let Some(hash) =
             self.diagnostics.as_ref().and_then(|diagnostics| diagnostics.photometry.as_deref())
@@ -290,6 +295,10 @@ impl ParameterMap {
                     }
                     _ => vec![],
                 },
+                zenith_rad: match attribute(MEASURED_ZENITH) {
+                    Ok(AttributeValue::F64(zenith_deg)) => Some(zenith_deg.to_radians()),
+                    _ => None,
+                },
                 photometry: match attribute(PHOTOMETRY) {
                     Ok(AttributeValue::Text(hash)) => Some(hash.to_string()),
                     _ => None,
@@ -418,6 +427,7 @@ mod tests {
         diagnostics.runner_up = (0..15).map(|texel| (texel + 1) % 3).collect();
         diagnostics.reason = (0..15).map(|texel| Reason::ALL[texel % 7]).collect();
         diagnostics.palette = (0..15).map(|texel| [0, 0, 0, 1, 2, 3][texel % 6]).collect();
+        diagnostics.zenith_rad = Some(1.0);
         diagnostics.sigma = (0..15).map(|texel| 0.01 * texel as f32).collect();
         let zenith = (0..3).map(|model| [1.0, 0.9, 0.8, 1.1, 1.5, model as f32]).collect();
         mixed.uncertainty = Some(Uncertainty { floor: 0.25, zenith });

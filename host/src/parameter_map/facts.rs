@@ -28,6 +28,12 @@ impl ParameterMap {
                 1 => facts.push("fitted to 1 view".into()),
                 views => facts.push(format!("fitted to {views} views")),
             }
+            if let Some(zenith_rad) = diagnostics.zenith_rad {
+                facts.push(format!(
+                    "measured down to zenith {:.1} degrees, extrapolated below",
+                    zenith_rad.to_degrees()
+                ));
+            }
             let mut residuals = diagnostics.residual.clone();
             residuals.sort_by(f32::total_cmp);
             if let Some(median) = residuals.get(residuals.len() / 2) {

@@ -3,6 +3,7 @@
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use glam::DVec3;
 use rayon::prelude::*;
 
 use super::memory::require;
@@ -82,12 +83,14 @@ pub(super) fn leave_out(texels: &mut [((u32, u32), TexelObservations)], without:
 /// For fits to the texels of `map`.
 pub(super) fn empty(map: &ObservationMap, without: &[u32]) -> Diagnostics {
     let count = map.header().texels.count();
-    let views = (0..).zip(&map.header().views).filter(|(view, _)| !without.contains(view));
+    let views = || (0..).zip(&map.header().views).filter(|(view, _)| !without.contains(view));
+    let zenith_rad = |centre_m: DVec3| centre_m.truncate().length().atan2(centre_m.z);
     Diagnostics {
         residual: vec![0.0; count],
         views: vec![0; count],
         flags: vec![FitFlags::default(); count],
-        seen: views.map(|(_, view)| view.name.clone()).collect(),
+        seen: views().map(|(_, view)| view.name.clone()).collect(),
+        zenith_rad: views().map(|(_, view)| zenith_rad(view.centre_m)).max_by(f64::total_cmp),
         photometry: map.header().photometry.clone(),
         ..Diagnostics::default()
     }

@@ -98,9 +98,6 @@ pub fn workshop() -> tempfile::TempDir {
             Some(bytes) => {
                 std::fs::create_dir_all(copy.parent().unwrap()).unwrap();
                 std::fs::write(&copy, bytes).unwrap();
-                // Radiance knows its photographs by their time of change.
-                let changed = std::fs::metadata(path).unwrap().modified().unwrap();
-                std::fs::File::options().write(true).open(copy).unwrap().set_modified(changed).unwrap();
             }
             None => std::fs::create_dir_all(copy).unwrap(),
         }

@@ -1,7 +1,9 @@
 //! From an observation map to pictures and errors: `fit`, `render`, `evaluate`.
 
 use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
+use glam::Vec3;
 use rigel::calibration::Photometry;
 use rigel::evaluate::{evaluate as score, read_references, session_references};
 use rigel::fit::{BANDS, FitFlags, FitOptions, Model, Reason, candidates};
@@ -192,6 +194,9 @@ fn summarise(fitted: &ParameterMap, identified_only: bool) {
     }
 }
 
+/// The views' zenith angles are those from the surface's centre; a place beside it sees them a little lower.
+const BEYOND_RAD: f64 = 0.05;
+
 /// `rigel render`.
 pub fn render(arguments: &Render) -> Result<()> {
     let extension = extension(&arguments.out);
@@ -205,7 +210,14 @@ pub fn render(arguments: &Render) -> Result<()> {
     require_place(&arguments.out, true)?;
     let map = ParameterMap::read(&arguments.map)?;
     let (lens, pose) = arguments.camera.place(&map.surface)?;
-    let radiance = |point, direction| map.radiance_at(map.surface.texel_at(map.texels, point), direction);
+    let lowest_rad = map.diagnostics.as_ref().and_then(|diagnostics| diagnostics.zenith_rad);
+    let lowest_z = lowest_rad.map_or(0.0, |zenith_rad| (zenith_rad + BEYOND_RAD).cos() as f32);
+    let (drawn, beyond) = (AtomicUsize::new(0), AtomicUsize::new(0));
+    let radiance = |point, direction: Vec3| {
+        drawn.fetch_add(1, Ordering::Relaxed);
+        beyond.fetch_add(usize::from(direction.z < lowest_z), Ordering::Relaxed);
+        map.radiance_at(map.surface.texel_at(map.texels, point), direction)
+    };
     let rendering = draw(&map.surface, &lens, &pose, radiance, &Bar::new("rendering"))?;
     if extension == "exr" {
         rendering.write_exr(&arguments.out)?;
@@ -214,6 +226,13 @@ pub fn render(arguments: &Render) -> Result<()> {
         rendering.write_png(&arguments.out, gamma)?;
     }
     say!("wrote {}: {}x{} pixels", arguments.out.display(), lens.width, lens.height);
+    if let (Some(lowest_rad), beyond @ 1..) = (lowest_rad, beyond.into_inner()) {
+        say!(
+            "warning: {:.1} % of the surface's pixels are extrapolated: they look from farther down than any view did (zenith {:.1} degrees)",
+            100.0 * beyond as f64 / drawn.into_inner() as f64,
+            lowest_rad.to_degrees()
+        );
+    }
     Ok(())
 }
 

@@ -75,6 +75,7 @@ fn a_flickering_lamp_is_told_removed_and_left_where_that_is_asked_for() {
     assert!(told.contains("no flats") && (told.contains("--reference") || !found.is_empty()), "{told}");
     let (told, found) = gains(&["--reference", "-75mm,37mm,20mm"]);
     assert!(told.contains("the lamp's gain varied by"), "{told}");
+    assert!(told.contains("the reference patch is seen in"), "{told}");
     close(&found, 0.02);
     succeed(
         folder,
