@@ -99,12 +99,11 @@ impl Overlap {
         }
         let mut taps = vec![];
         for (row, column) in (-REACH..=REACH).flat_map(|row| (-REACH..=REACH).map(move |c| (row, c))) {
-            let mut tap = Square::<f64>::zeros();
-            for frequency in 0..frequencies {
+            let share = |frequency: usize| {
                 let [sin, cos] = wave(frequency, [column, row]);
-                tap += found[0][frequency] * cos + found[1][frequency] * sin;
-            }
-            taps.push(tap / frequencies as f64);
+                found[0][frequency] * cos + found[1][frequency] * sin
+            };
+            taps.push((0..frequencies).map(share).sum::<Square<f64>>() / frequencies as f64);
         }
         // Where everything is alike nothing may be lost with what is farther away.
         let lost = found[0][0] - taps.iter().sum::<Square<f64>>();

@@ -290,13 +290,16 @@ const DRAWN: &str = r#"<script>new MutationObserver(() => {
 }).observe(document.documentElement, { attributes: true, attributeFilter: ["data-drawn"] });</script>
 <script id="data""#;
 
-/// As many texels, between those of a coarse map, no two alike: what compresses a map is what it shows, not how it was made.
+/// What coefficients scatter from texel to texel, relative to themselves and to the largest: a page as large as that of a map fitted to photographs.
+const NOISE: f64 = 0.008;
+
+/// So many texels between those of a coarse map, no two alike.
 fn between(coarse: &ParameterMap, texels: Texels) -> ParameterMap {
     let [model] = coarse.models.as_slice() else { panic!("one model") };
     let mut seed = 1u32;
     let mut noise = || {
         seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        1.0 + 0.02 * (f64::from(seed >> 8) / f64::from(1u32 << 23) - 1.0)
+        f64::from(seed >> 8) / f64::from(1u32 << 23) - 1.0
     };
     let count = model.parameter_count();
     let mut parameters = Vec::with_capacity(count * texels.count());
@@ -320,7 +323,10 @@ fn between(coarse: &ParameterMap, texels: Texels) -> ParameterMap {
         ];
         let blend =
             |i: usize| corners.iter().map(|(values, share)| f64::from(values[i]) * share).sum::<f64>();
-        let mut own: Vec<f32> = (0..count).map(|i| (blend(i) * noise()) as f32).collect();
+        let noisy =
+            |(i, noise): (usize, f64)| (blend(i) + NOISE * (blend(i).abs() + blend(0).abs()) * noise) as f32;
+        let noises: Vec<f64> = (0..count).map(|_| noise()).collect();
+        let mut own: Vec<f32> = noises.into_iter().enumerate().map(noisy).collect();
         if let Model::Phong { lobes: 1 } = model {
             let axis = glam::Vec3::new(own[7], own[8], own[9]).normalize();
             own[7..10].copy_from_slice(&axis.to_array());

@@ -240,9 +240,8 @@ fn compare(map: &ParameterMap, step: usize) -> rigel::splats::Splats {
         }
         for direction in &reduction.directions {
             let truth = map.radiance_at(DVec2::new(column as f64, row as f64), *direction);
-            for c in 0..3 {
-                reduced +=
-                    255.0 * (level(&wanted[0].0[c], -*direction) - f64::from(expose(truth[c], GAMMA))).abs();
+            for (harmonics, truth) in wanted[0].0.iter().zip(truth) {
+                reduced += 255.0 * (level(harmonics, -*direction) - f64::from(expose(truth, GAMMA))).abs();
                 reduced_count += 1.0;
             }
         }
