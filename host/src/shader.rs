@@ -9,4 +9,4 @@ mod source;
 mod tests;
 
 pub use packed::{Packed, Stored};
-pub use source::{Look, camera_numbers, plain_source, source};
+pub use source::{Look, camera_numbers, false_colour, plain_source, source};
