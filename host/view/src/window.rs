@@ -1,37 +1,29 @@
 //! A window: turn a map with mouse and keys, or step through photographed views.
 
+mod draw;
+mod events;
 mod pane;
+mod turn;
+mod words;
 
 use std::path::PathBuf;
-use std::sync::Arc;
 
-use glam::DVec3;
+use rigel::emitter::Floor;
 use rigel::evaluate::Reference;
-use rigel::geometry::{Lens, Pose, Surface, unit_vector};
+use rigel::geometry::{Lens, Pose};
+use rigel::observation::ObservationMap;
 use rigel::parameter_map::ParameterMap;
-use rigel::render::{expose, png};
-use rigel::{Error, Result, file};
-use winit::application::ApplicationHandler;
+use rigel::{Error, Result};
 use winit::dpi::PhysicalSize;
-use winit::event::{ElementState, MouseButton, MouseScrollDelta, WindowEvent};
-use winit::event_loop::{ActiveEventLoop, EventLoop};
-use winit::keyboard::{Key, NamedKey};
-use winit::window::{Window, WindowId};
+use winit::event_loop::EventLoop;
 
-use crate::scene::{Shading, View};
+use crate::flip::matched;
+use crate::profile::{PANEL, Profile};
+use crate::scene::View;
+use draw::{framed, letters};
 use pane::Pane;
-
-/// What the keys do, line by line.
-pub const KEYS: [&str; 8] = [
-    "drag or arrows: turn; wheel or + -: distance; 0: as at first",
-    "[ ]: exposure; f: false colours",
-    "m: next map",
-    "n p: next and previous photographed view (with --session)",
-    "space: photograph, reconstruction, difference (x 4)",
-    "x: by pixel, by texel, automatic",
-    "s: screenshot",
-    "q or Escape: end",
-];
+use turn::{fitting, moved, turned};
+pub use words::KEYS;
 
 /// What a window shows.
 pub struct Show {
@@ -43,7 +35,11 @@ pub struct Show {
     pub photographs: usize,
     /// Gets one of them.
     pub photograph: Box<dyn Fn(usize) -> Result<Reference>>,
-    /// Where a screenshot goes; the first frame is written there if `at_once` says so.
+    /// What was measured, where it is at hand.
+    pub observations: Option<ObservationMap>,
+    /// The texel (column, row) of the first map whose radiance against direction is drawn at first.
+    pub texel: Option<(u32, u32)>,
+    /// Where a screenshot goes, or beside it under another number; the first frame is written there if `at_once` says so.
     pub screenshot: PathBuf,
     /// Write the first frame.
     pub at_once: bool,
@@ -56,18 +52,8 @@ pub struct Show {
 /// photograph's reading says.
 pub fn open(show: Show) -> Result<()> {
     let events = EventLoop::new().map_err(|error| no_display(&error))?;
-    let orbit = Orbit::of(&show.view);
-    let mut app = App {
-        orbit,
-        first: orbit,
-        map: 0,
-        step: None,
-        face: Face::Reconstruction,
-        dragged: None,
-        pane: None,
-        failed: None,
-        show,
-    };
+    let mut app = App::new(show);
+    app.look_at_texel()?;
     events.run_app(&mut app).map_err(|error| no_display(&error))?;
     app.failed.map_or(Ok(()), Err)
 }
@@ -87,33 +73,6 @@ fn no_display(error: &dyn std::fmt::Display) -> Error {
     }
 }
 
-/// Where the camera is: it looks at the middle of the surface.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Orbit {
-    azimuth_rad: f64,
-    zenith_rad: f64,
-    distance_m: f64,
-}
-
-impl Orbit {
-    fn of(view: &View) -> Self {
-        let (azimuth_rad, zenith_rad) = rigel::geometry::azimuth_zenith(view.pose.centre_m);
-        // From straight above any azimuth is right: this one has y up.
-        let azimuth_rad = if zenith_rad < 1e-6 { -std::f64::consts::FRAC_PI_2 } else { azimuth_rad };
-        Self { azimuth_rad, zenith_rad, distance_m: view.pose.centre_m.length() }
-    }
-
-    fn pose(&self) -> Pose {
-        let centre_m = unit_vector(self.azimuth_rad, self.zenith_rad) * self.distance_m;
-        let up = DVec3::new(
-            -self.azimuth_rad.cos() * self.zenith_rad.cos(),
-            -self.azimuth_rad.sin() * self.zenith_rad.cos(),
-            self.zenith_rad.sin(),
-        );
-        Pose::from_axes(centre_m, -centre_m, up)
-    }
-}
-
 /// What is shown of a photographed view.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Face {
@@ -124,238 +83,147 @@ enum Face {
 
 struct App {
     show: Show,
-    orbit: Orbit,
-    first: Orbit,
+    pose: Pose,
     map: usize,
-    /// The photographed view that is shown, instead of an orbit.
+    /// The photographed view that is shown, instead of one from anywhere.
     step: Option<(usize, Reference)>,
     face: Face,
-    dragged: Option<Option<(f64, f64)>>,
+    /// Keys and facts are written.
+    is_written: bool,
+    is_floor_lit: bool,
+    /// The texel whose radiance is drawn.
+    profile: Option<Profile>,
+    pointer: (f64, f64),
+    /// Where the button was pressed, and whether it has been moved since.
+    pressed: Option<((f64, f64), bool)>,
     pane: Option<Pane>,
     failed: Option<Error>,
 }
 
-/// A lens that shows as much of the surface in a window of any size.
-fn lens(surface: &Surface, size: PhysicalSize<u32>, view: &View) -> Lens {
-    let (width, height) = (size.width.max(1), size.height.max(1));
-    let by = f64::from(width.min(height)) / f64::from(view.lens.width.min(view.lens.height).max(1));
-    let focal_px = (view.lens.fx * by).max(1e-3 * surface.width_m);
-    Lens::pinhole(width, height, focal_px)
-}
-
-/// Levels of a photographed view, or four times its difference from what the map says, around middle grey.
-fn levels(reference: &Reference, reconstruction: Option<&[[u8; 3]]>, gamma: f32) -> Vec<[u8; 3]> {
-    let exposed = |l: &[f32; 3]| l.map(|l| (255.0 * expose(l, gamma)).round() as u8);
-    let photograph = reference.radiance.radiance.iter().map(exposed);
-    let Some(reconstruction) = reconstruction else { return photograph.collect() };
-    let difference = |(a, b): ([u8; 3], &[u8; 3])| {
-        std::array::from_fn(|c| (128 + 4 * (i32::from(b[c]) - i32::from(a[c]))).clamp(0, 255) as u8)
-    };
-    photograph.zip(reconstruction).map(difference).collect()
-}
-
 impl App {
-    fn view(&self, size: PhysicalSize<u32>) -> View {
+    fn new(show: Show) -> Self {
+        Self {
+            pose: show.view.pose,
+            map: 0,
+            step: None,
+            face: Face::Reconstruction,
+            is_written: true,
+            is_floor_lit: false,
+            profile: None,
+            pointer: (0.0, 0.0),
+            pressed: None,
+            pane: None,
+            failed: None,
+            show,
+        }
+    }
+
+    fn size(&self) -> PhysicalSize<u32> {
+        let lens = &self.show.view.lens;
+        self.pane.as_ref().map_or(PhysicalSize::new(lens.width, lens.height), Pane::size)
+    }
+
+    /// The part of the window, from its left edge on, that no texel's radiance takes.
+    fn free(&self) -> PhysicalSize<u32> {
+        let size = self.size();
+        let taken = if self.profile.is_some() { PANEL.0 * letters(size) } else { 0 };
+        // A small window shows the one through the other.
+        let width = if size.width >= 2 * taken { size.width - taken } else { size.width };
+        PhysicalSize::new(width, size.height)
+    }
+
+    fn view(&self) -> View {
         let view = self.show.view;
         match &self.step {
             Some((_, reference)) => View { lens: reference.lens, pose: reference.pose, ..view },
-            None => View {
-                lens: lens(&self.show.maps[self.map].1.surface, size, &view),
-                pose: self.orbit.pose(),
-                ..view
-            },
-        }
-    }
-
-    fn draw(&mut self) -> Result<()> {
-        let Some(pane) = &self.pane else { return Ok(()) };
-        let view = self.view(pane.size());
-        let picture = match &self.step {
-            None => None,
-            Some((_, reference)) => {
-                let own = || pane.picture(&view);
-                Some(match self.face {
-                    Face::Photograph => levels(reference, None, view.look.gamma),
-                    Face::Reconstruction => own()?,
-                    Face::Difference => levels(reference, Some(&own()?), view.look.gamma),
-                })
+            None => {
+                let lens = Lens { width: self.size().width, ..fitting(&view.lens, self.free()) };
+                View { lens, pose: self.pose, ..view }
             }
-        };
-        pane.title(&self.title());
-        match &picture {
-            Some(picture) => pane.show(picture, (view.lens.width, view.lens.height))?,
-            None => pane.draw(&view)?,
         }
-        if std::mem::take(&mut self.show.at_once) {
-            self.screenshot()?;
-        }
-        Ok(())
-    }
-
-    fn title(&self) -> String {
-        let name = &self.show.maps[self.map].0;
-        let shading = match self.show.view.shading {
-            Shading::Automatic => "automatic",
-            Shading::ByPixel => "by pixel",
-            Shading::ByTexel => "by texel",
-        };
-        let seen = match (&self.step, self.face) {
-            (None, _) => String::new(),
-            (Some((_, view)), Face::Photograph) => format!(", photograph {}", view.name),
-            (Some((_, view)), Face::Reconstruction) => format!(", reconstruction of {}", view.name),
-            (Some((_, view)), Face::Difference) => format!(", difference from {} x 4", view.name),
-        };
-        format!(
-            "{name}{seen}, gamma {:.3}, {shading} | drag [ ] m n p space f x s 0 q",
-            self.show.view.look.gamma
-        )
-    }
-
-    fn screenshot(&self) -> Result<()> {
-        let Some(pane) = &self.pane else { return Ok(()) };
-        let view = self.view(pane.size());
-        let picture = pane.picture(&view)?;
-        file::write_bytes(
-            &self.show.screenshot,
-            &png(view.lens.width, view.lens.height, picture.as_flattened())?,
-        )
     }
 
     fn step(&mut self, by: usize) -> Result<()> {
         let count = self.show.photographs;
         if count > 0 {
             let next = self.step.as_ref().map_or(0, |(index, _)| (index + by) % count);
-            self.step = Some((next, (self.show.photograph)(next)?));
+            self.step = Some((next, matched((self.show.photograph)(next)?, &self.show.maps[self.map].1)));
         }
         Ok(())
     }
 
     fn turn(&mut self, azimuth_rad: f64, zenith_rad: f64) {
         self.step = None;
-        self.orbit.azimuth_rad += azimuth_rad;
-        self.orbit.zenith_rad = (self.orbit.zenith_rad + zenith_rad).clamp(0.0, 1.55);
+        self.pose = turned(&self.pose, azimuth_rad, zenith_rad);
     }
 
     fn zoom(&mut self, factor: f64) {
         self.step = None;
-        let most = 100.0 * self.first.distance_m;
-        self.orbit.distance_m = (self.orbit.distance_m * factor).clamp(0.02 * self.first.distance_m, most);
+        let first_m = self.show.view.pose.centre_m.length();
+        self.pose = moved(&self.pose, factor, (0.02 * first_m, 100.0 * first_m));
     }
 
-    fn key(&mut self, key: &Key, events: &ActiveEventLoop) -> Result<()> {
-        let look = &mut self.show.view.look;
-        match key.as_ref() {
-            Key::Named(NamedKey::ArrowLeft) => self.turn(-0.05, 0.0),
-            Key::Named(NamedKey::ArrowRight) => self.turn(0.05, 0.0),
-            Key::Named(NamedKey::ArrowUp) => self.turn(0.0, -0.05),
-            Key::Named(NamedKey::ArrowDown) => self.turn(0.0, 0.05),
-            Key::Named(NamedKey::Escape) | Key::Character("q") => events.exit(),
-            Key::Named(NamedKey::Space) => {
-                self.face = match self.face {
-                    Face::Photograph => Face::Reconstruction,
-                    Face::Reconstruction => Face::Difference,
-                    Face::Difference => Face::Photograph,
-                }
+    /// The texel that is seen at a place of the window.
+    fn texel_at(&self, (x, y): (f64, f64)) -> Option<(u32, u32)> {
+        let view = self.view();
+        let pixel = match &self.step {
+            // The middle of the first pixel is half a pixel from the corner.
+            None => (x - 0.5, y - 0.5),
+            Some(_) => {
+                let (corner, shown) = framed(self.free(), (view.lens.width, view.lens.height));
+                let along = |at: f64, corner: i32, shown: u32, side: u32| {
+                    (at - f64::from(corner)) / f64::from(shown) * f64::from(side) - 0.5
+                };
+                (along(x, corner.0, shown.0, view.lens.width), along(y, corner.1, shown.1, view.lens.height))
             }
-            Key::Character("+" | "=") => self.zoom(0.9),
-            Key::Character("-") => self.zoom(1.0 / 0.9),
-            Key::Character("[") => look.gamma /= 1.1,
-            Key::Character("]") => look.gamma *= 1.1,
-            Key::Character("f") => look.false_colour = !look.false_colour,
-            Key::Character("0") => (self.orbit, self.step) = (self.first, None),
-            Key::Character("n") => self.step(1)?,
-            Key::Character("p") => self.step(self.show.photographs.saturating_sub(1))?,
-            Key::Character("s") => self.screenshot()?,
-            Key::Character("x") => {
-                let shading = &mut self.show.view.shading;
-                *shading = match shading {
-                    Shading::Automatic => Shading::ByPixel,
-                    Shading::ByPixel => Shading::ByTexel,
-                    Shading::ByTexel => Shading::Automatic,
-                }
-            }
-            Key::Character("m") => {
-                self.map = (self.map + 1) % self.show.maps.len();
-                if let Some(pane) = &mut self.pane {
-                    pane.load(&self.show.maps[self.map].1)?;
-                }
-            }
-            _ => {}
-        }
+        };
+        let map = &self.show.maps[self.map].1;
+        let ray = view.pose.direction_to_surface(view.lens.unproject(pixel.into())?);
+        let point_m = map.surface.intersect(view.pose.centre_m, ray)?;
+        let at = map.surface.contains(point_m).then(|| map.surface.texel_at(map.texels, point_m).round())?;
+        let within = |at: f64, count: u32| (at.max(0.0) as u32).min(count - 1);
+        Some((within(at.x, map.texels.columns), within(at.y, map.texels.rows)))
+    }
+
+    /// Draws the chosen texel's radiance against direction, of the map that is shown.
+    fn look_at_texel(&mut self) -> Result<()> {
+        let map = &self.show.maps[self.map].1;
+        let observations = self.show.observations.as_ref();
+        let profile = self.show.texel.map(|texel| Profile::new(map, texel, observations));
+        self.profile = profile.transpose()?;
         Ok(())
     }
 
-    /// What went wrong ends the window and is told.
-    fn heed(&mut self, result: Result<()>, events: &ActiveEventLoop) {
-        match result {
-            Err(error) => {
-                self.failed = Some(error);
-                events.exit();
-            }
-            Ok(()) => {
-                if let Some(pane) = &self.pane {
-                    pane.ask_to_draw();
-                }
-            }
+    fn next_map(&mut self) -> Result<()> {
+        let before = self.show.maps[self.map].1.texels;
+        self.map = (self.map + 1) % self.show.maps.len();
+        let after = self.show.maps[self.map].1.texels;
+        // The same place, on a map that may be finer or coarser.
+        let scaled = |at: u32, from: u32, to: u32| {
+            ((u64::from(at) * 2 + 1) * u64::from(to) / (2 * u64::from(from))) as u32
+        };
+        self.show.texel = self.show.texel.map(|(column, row)| {
+            (scaled(column, before.columns, after.columns), scaled(row, before.rows, after.rows))
+        });
+        if let Some(pane) = &mut self.pane {
+            pane.load(&self.show.maps[self.map].1)?;
         }
+        self.light_floor();
+        self.look_at_texel()
+    }
+
+    fn light_floor(&mut self) {
+        let floor = self.is_floor_lit.then(|| Floor::lit_by(&self.show.maps[self.map].1));
+        if let Some(pane) = &mut self.pane {
+            pane.set_floor(floor.as_ref());
+        }
+    }
+
+    fn click(&mut self) -> Result<()> {
+        self.show.texel = self.texel_at(self.pointer);
+        self.look_at_texel()
     }
 }
 
-impl ApplicationHandler for App {
-    fn resumed(&mut self, events: &ActiveEventLoop) {
-        if self.pane.is_some() {
-            return;
-        }
-        let size = PhysicalSize::new(self.show.view.lens.width, self.show.view.lens.height);
-        let window =
-            events.create_window(Window::default_attributes().with_title("rigel").with_inner_size(size));
-        let opened = window
-            .map_err(|error| no_display(&error))
-            .and_then(|window| Pane::new(Arc::new(window), &self.show.maps[self.map].1));
-        let result = opened.map(|pane| self.pane = Some(pane));
-        self.heed(result, events);
-    }
-
-    fn window_event(&mut self, events: &ActiveEventLoop, _: WindowId, event: WindowEvent) {
-        match event {
-            WindowEvent::CloseRequested => events.exit(),
-            WindowEvent::RedrawRequested => {
-                if let Err(error) = self.draw() {
-                    self.heed(Err(error), events);
-                }
-            }
-            WindowEvent::Resized(size) => {
-                if let Some(pane) = &mut self.pane {
-                    pane.resize(size);
-                }
-                self.heed(Ok(()), events);
-            }
-            WindowEvent::KeyboardInput { event, .. } if event.state == ElementState::Pressed => {
-                let result = self.key(&event.logical_key, events);
-                self.heed(result, events);
-            }
-            WindowEvent::MouseInput { state, button: MouseButton::Left, .. } => {
-                self.dragged = (state == ElementState::Pressed).then_some(None);
-            }
-            WindowEvent::CursorMoved { position, .. } => {
-                if let Some(before) = self.dragged.replace(Some((position.x, position.y))) {
-                    if let Some((x, y)) = before {
-                        self.turn(0.008 * (x - position.x), 0.008 * (y - position.y));
-                        self.heed(Ok(()), events);
-                    }
-                } else {
-                    self.dragged = None;
-                }
-            }
-            WindowEvent::MouseWheel { delta, .. } => {
-                let lines = match delta {
-                    MouseScrollDelta::LineDelta(_, lines) => f64::from(lines),
-                    MouseScrollDelta::PixelDelta(pixels) => pixels.y / 40.0,
-                };
-                self.zoom(0.9f64.powf(lines));
-                self.heed(Ok(()), events);
-            }
-            _ => {}
-        }
-    }
-}
+#[cfg(test)]
+mod tests;
