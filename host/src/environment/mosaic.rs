@@ -148,7 +148,7 @@ pub fn mosaic(shots: &Shots, options: &Options, progress: &dyn Progress) -> Resu
             ));
         }
     }
-    let (lens, calibrated) = lens(shots, options, first)?;
+    let (lens, calibrated) = lens_of(shots.lens, options, first)?;
     let mut notes = vec![];
     let response = match (&options.response, options.linear) {
         (Some(path), _) => Response::read_csv(path)?,
@@ -353,9 +353,10 @@ fn gray_fx(lens: &Lens) -> f64 {
     lens.fx / f64::from(lens.width.div_ceil(GRAY).max(1))
 }
 
-fn lens(shots: &Shots, options: &Options, first: &Picture) -> Result<(Lens, bool)> {
+/// The lens of photographs of this size, and whether it was calibrated; `given` is that of their table.
+pub(super) fn lens_of(given: Option<Lens>, options: &Options, first: &Picture) -> Result<(Lens, bool)> {
     let size = format!("{}x{}", first.width, first.height);
-    let Some(lens) = options.lens.or(if options.field_of_view_rad.is_some() { None } else { shots.lens })
+    let Some(lens) = options.lens.or(if options.field_of_view_rad.is_some() { None } else { given })
     else {
         let Some(angle) = options.field_of_view_rad else {
             return Err(Error::request("nothing tells the lens", "give --lens FILE or --fov DEGREES"));

@@ -54,9 +54,10 @@ pub struct Tracking {
     pub mount: Option<DQuat>,
 }
 
+/// A line of the table of photographs.
 #[derive(Deserialize)]
-struct Frame {
-    file: PathBuf,
+pub(super) struct Frame {
+    pub file: PathBuf,
     exposure_s: Option<f64>,
     iso: Option<f64>,
     f_number: Option<f64>,
@@ -69,8 +70,8 @@ struct Frame {
     qx: Option<f64>,
     qy: Option<f64>,
     qz: Option<f64>,
-    sigma_deg: Option<f64>,
-    time_s: Option<f64>,
+    pub sigma_deg: Option<f64>,
+    pub time_s: Option<f64>,
 }
 
 #[derive(Deserialize)]
@@ -85,6 +86,8 @@ struct Intrinsics {
 }
 
 const REMEDY: &str = "give for each file yaw_deg, pitch_deg and roll_deg, R_world_from_cam, the quaternion qw, qx, qy, qz, or time_s and a tracker";
+/// Tables beside photographs.
+pub(super) const TABLES: [&str; 2] = ["frames.json", "frames.csv"];
 /// Records beside photographs.
 const RECORDS: [&str; 2] = ["tracker.jsonl", "tracker.csv"];
 /// Orientations of the tracker that are less sure, about each axis, tell nothing, radians.
@@ -113,9 +116,8 @@ impl Shots {
     /// [`Error::Io`] or [`Error::Input`] that names the photograph whose orientation is missing or is none, or whose time is earlier than that of
     /// the one before; or what [`Track::read`] refuses.
     pub fn read_tracked(path: &Path, tracking: &Tracking) -> Result<Self> {
-        let names = ["frames.json", "frames.csv"];
         let file = if path.is_dir() {
-            names.iter().map(|name| path.join(name)).find(|file| file.exists()).ok_or_else(|| {
+            TABLES.iter().map(|name| path.join(name)).find(|file| file.exists()).ok_or_else(|| {
                 Error::input(
                     path,
                     "holds neither frames.json nor frames.csv",
@@ -125,17 +127,8 @@ impl Shots {
         } else {
             path.to_path_buf()
         };
-        let text = std::fs::read_to_string(&file).map_err(Error::io("read", &file))?;
-        let (frames, lens) = if file.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("csv")) {
-            let frames = csv::Reader::from_reader(text.as_bytes())
-                .deserialize()
-                .collect::<std::result::Result<_, _>>();
-            (frames.map_err(|error| Error::input(&file, format!("cannot be used ({error})"), REMEDY))?, None)
-        } else {
-            json(&text).map_err(|what| Error::input(&file, format!("cannot be used ({what})"), REMEDY))?
-        };
+        let (frames, lens) = read_frames(&file)?;
         let folder = file.parent().unwrap_or(Path::new(""));
-        let frames: Vec<Frame> = frames;
         let exposed = || frames.iter().filter(|frame| frame.exposure_s.is_some());
         // What only some of them say would be guessed of the others.
         let all_say = (exposed().all(|f| f.iso.is_some()), exposed().all(|f| f.f_number.is_some()));
@@ -197,6 +190,20 @@ impl Shots {
         }
         Ok(Self { shots, lens, tracker })
     }
+}
+
+/// The lines of a table, and its lens if it says one.
+pub(super) fn read_frames(file: &Path) -> Result<(Vec<Frame>, Option<Lens>)> {
+    let text = std::fs::read_to_string(file).map_err(Error::io("read", file))?;
+    if file.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("csv")) {
+        let frames =
+            csv::Reader::from_reader(text.as_bytes()).deserialize().collect::<std::result::Result<_, _>>();
+        return Ok((
+            frames.map_err(|error| Error::input(file, format!("cannot be used ({error})"), REMEDY))?,
+            None,
+        ));
+    }
+    json(&text).map_err(|what| Error::input(file, format!("cannot be used ({what})"), REMEDY))
 }
 
 /// The tracker of frames with times.
@@ -315,7 +322,8 @@ fn json(text: &str) -> std::result::Result<(Vec<Frame>, Option<Lens>), String> {
 }
 
 impl Frame {
-    fn orientation(&self) -> Option<DQuat> {
+    /// How it says the camera was turned: camera frame to the world.
+    pub(super) fn orientation(&self) -> Option<DQuat> {
         if let (Some(w), Some(x), Some(y), Some(z)) = (self.qw, self.qx, self.qy, self.qz) {
             let turn = DQuat::from_xyzw(x, y, z, w);
             let length = turn.length();

@@ -17,7 +17,7 @@ pub fn update(arguments: &Update) -> Result<()> {
     let map = EnvironmentMap::read(&arguments.map)?;
     let shots = Shots::read(&arguments.shots)?;
     require_no_photograph(&arguments.out, &shots)?;
-    let options = arguments.photographs.options(&shots, map.size)?;
+    let options = arguments.photographs.options(&shots.shots[0].path, map.size)?;
     let made = bring_up(&map, &shots, &options, arguments.threshold, &Bar::new("update"))
         .map_err(|error| error.about(&arguments.shots))?;
     for note in &made.new.notes {
