@@ -200,8 +200,7 @@ impl Coverage {
         if unseen / (4.0 * PI) < REST || thought.is_empty() {
             return None;
         }
-        let linked: Vec<&Next> =
-            thought.iter().filter(|next| next.overlap >= self.wanted.overlap).collect();
+        let linked: Vec<&Next> = thought.iter().filter(|next| next.overlap >= self.wanted.overlap).collect();
         let best = linked.iter().map(|next| next.gain).fold(0.0, f64::max);
         let axis = self.last * DVec3::Z;
         let away = |next: &Next| axis.angle_between(next.pointing.camera() * DVec3::Z);
@@ -259,9 +258,8 @@ impl Coverage {
             if direction.dot(axis) < near {
                 return false;
             }
-            let within = |at: DVec2| {
-                (-0.5..width - 0.5).contains(&at.x) && (-0.5..height - 0.5).contains(&at.y)
-            };
+            let within =
+                |at: DVec2| (-0.5..width - 0.5).contains(&at.x) && (-0.5..height - 0.5).contains(&at.y);
             self.lens.project(back * direction).is_some_and(within)
         })
     }
@@ -350,10 +348,8 @@ mod tests {
             // Whoever turns as told points there.
             let (right, up) = coverage.last().to(next.pointing);
             let from = coverage.last();
-            let there = Pointing {
-                azimuth_rad: from.azimuth_rad + right,
-                elevation_rad: from.elevation_rad + up,
-            };
+            let there =
+                Pointing { azimuth_rad: from.azimuth_rad + right, elevation_rad: from.elevation_rad + up };
             let apart = (there.camera() * DVec3::Z).angle_between(next.pointing.camera() * DVec3::Z);
             assert!(apart < 1e-6);
         }

@@ -145,8 +145,7 @@ impl<'a> Live<'a> {
             let remedy = "give the tracker.jsonl that a capture writes";
             return Err(Error::input(records, "cannot be followed while it grows", remedy));
         }
-        let tracker =
-            records.map(|records| (Tail::new(&records, tracking.receiver), Causal::new(MEMORY_S)));
+        let tracker = records.map(|records| (Tail::new(&records, tracking.receiver), Causal::new(MEMORY_S)));
         Ok(Self {
             folder: folder.into(),
             tracking: tracking.clone(),
@@ -233,8 +232,12 @@ impl<'a> Live<'a> {
             notes.push(format!("{}: direction not known, left out", left.join(", ")));
         }
         if let Some(table) = &self.table {
-            let strange: Vec<String> =
-                list(&self.folder)?.0.iter().filter(|path| !self.known.contains(*path)).map(|p| name(p)).collect();
+            let strange: Vec<String> = list(&self.folder)?
+                .0
+                .iter()
+                .filter(|path| !self.known.contains(*path))
+                .map(|p| name(p))
+                .collect();
             if !strange.is_empty() {
                 notes.push(format!("{} does not list {}: left out", name(table), strange.join(", ")));
             }
@@ -334,7 +337,10 @@ impl<'a> Live<'a> {
         let size = (picture.width, picture.height);
         let lens = match self.first {
             Some((first, _)) if first != size => {
-                let what = format!("left out: it is {}x{} pixels, the first one {}x{}", size.0, size.1, first.0, first.1);
+                let what = format!(
+                    "left out: it is {}x{} pixels, the first one {}x{}",
+                    size.0, size.1, first.0, first.1
+                );
                 told.push(refused(what));
                 self.known.insert(line.path);
                 return Ok(());
@@ -350,7 +356,8 @@ impl<'a> Live<'a> {
         let white = f32::from(picture.white) * 3.0;
         let is_by_corners = self.table.is_none() && self.tracker.is_none();
         let corners = is_by_corners.then(|| {
-            let level = |i: usize| picture.levels[i].iter().map(|&level| f32::from(level)).sum::<f32>() / white;
+            let level =
+                |i: usize| picture.levels[i].iter().map(|&level| f32::from(level)).sum::<f32>() / white;
             let gray = Gray::new(&lens, level, GRAY);
             let corners = gray.corners();
             (gray, corners)
@@ -367,7 +374,8 @@ impl<'a> Live<'a> {
         for mut waiting in std::mem::take(&mut self.waiting) {
             match self.verdict(&waiting) {
                 Verdict::At(turn, sigma_rad) => {
-                    let gained = self.coverage.as_mut().map_or(0.0, |coverage| coverage.add(turn, &waiting.small));
+                    let gained =
+                        self.coverage.as_mut().map_or(0.0, |coverage| coverage.add(turn, &waiting.small));
                     let place = Place { turn, sigma_rad, gained };
                     told.push(Arrival { name: name(&waiting.line.path), place: Ok(place) });
                     let sigma_rad = sigma_rad.unwrap_or(0.0);
@@ -404,7 +412,9 @@ impl<'a> Live<'a> {
             };
         }
         let (Some((_, filter)), Some(time_s)) = (&self.tracker, time_s) else {
-            return Verdict::Unknown("the table says neither how it was turned nor when, or there is no tracker: left out");
+            return Verdict::Unknown(
+                "the table says neither how it was turned nor when, or there is no tracker: left out",
+            );
         };
         let taken_s = time_s - self.tracking.delay_s.unwrap_or(0.0);
         if filter.last_s().is_none_or(|last_s| last_s < taken_s) && waiting.since.elapsed() < PATIENCE {
@@ -412,7 +422,9 @@ impl<'a> Live<'a> {
         }
         let heard_s = filter.heard_s(taken_s).filter(|heard_s| taken_s - heard_s < SILENT_S);
         let Some((at, _)) = filter.at(taken_s).zip(heard_s).filter(|(at, _)| at.sigma_rad.is_finite()) else {
-            return Verdict::Unknown("the tracker said nothing, or always the same, when it was taken: left out");
+            return Verdict::Unknown(
+                "the tracker said nothing, or always the same, when it was taken: left out",
+            );
         };
         let late_s = if self.tracking.delay_s.is_some() { STATED_DELAY_SIGMA_S } else { DELAY_SIGMA_S };
         Verdict::At(at.orientation * self.mount(), Some(at.sigma_rad.hypot(at.rate.length() * late_s)))
@@ -438,7 +450,9 @@ impl<'a> Live<'a> {
         let mut near: Vec<&View> = self
             .views
             .iter()
-            .filter(|view| view.sigma_rad < found.1 && (view.turn * DVec3::Z).angle_between(found.0 * DVec3::Z) < 0.7)
+            .filter(|view| {
+                view.sigma_rad < found.1 && (view.turn * DVec3::Z).angle_between(found.0 * DVec3::Z) < 0.7
+            })
             .collect();
         near.sort_by(|a, b| a.sigma_rad.total_cmp(&b.sigma_rad));
         let again = near.into_iter().take(AROUND).filter_map(|view| {

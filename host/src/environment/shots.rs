@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use glam::{DMat3, DQuat, DVec3};
 use serde::Deserialize;
 
+use super::map::Unit;
 use super::tracked::Tracked;
 use crate::geometry::{Lens, world_from_camera};
 use crate::tracker::Track;
@@ -39,6 +40,8 @@ pub struct Shots {
     pub lens: Option<Lens>,
     /// The tracker from which the orientations come, where they do.
     pub tracker: Option<Tracked>,
+    /// What a map of them is counted in where their exposures are stated.
+    pub unit: Unit,
 }
 
 /// A tracker whose receiver was on the camera: where its records are, and what is known of it.
@@ -138,6 +141,10 @@ impl Shots {
             let what = format!("lists {} twice", pair[0].display());
             return Err(Error::input(&file, what, "list each photograph once"));
         }
+        let unit = match exposed().next() {
+            Some(_) => Unit::Saturation { iso: all_say.0, f_number: all_say.1 },
+            None => Unit::MeanPhotograph,
+        };
         let is_tracked = tracking.file.is_some()
             || frames.iter().all(|frame| frame.time_s.is_some() && frame.orientation().is_none());
         let tracker = (is_tracked && !frames.is_empty()).then(|| tracked(&frames, &file, folder, tracking));
@@ -188,7 +195,7 @@ impl Shots {
                 return Err(Error::input(&file, what, "give times and records by one clock, in seconds"));
             }
         }
-        Ok(Self { shots, lens, tracker })
+        Ok(Self { shots, lens, tracker, unit })
     }
 }
 

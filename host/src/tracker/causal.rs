@@ -4,15 +4,11 @@
 //! 9.5), on rotations: what was said counts e times less with every `memory_s` that passes. It foretells with the speed, so at an even speed it does not
 //! lag at all; while the speed changes by a (radians per second squared) it is behind by a [`Causal::lag_s2`].
 
-use std::collections::VecDeque;
-
 use glam::{DQuat, DVec3};
 
 use super::Turned;
 use super::smooth::rotation_vector;
 
-/// So long ago is still known, seconds: photographs come later than they were taken.
-const KEPT_S: f64 = 30.0;
 /// So many records tell how noisy they are.
 const SPREAD: f64 = 60.0;
 
@@ -29,7 +25,7 @@ struct Node {
 #[derive(Debug, Clone)]
 pub struct Causal {
     memory_s: f64,
-    nodes: VecDeque<Node>,
+    nodes: Vec<Node>,
     count: f64,
     /// Of records from what was foretold, about each axis, radians squared.
     far2: f64,
@@ -38,7 +34,7 @@ pub struct Causal {
 impl Causal {
     /// A filter that forgets in so many seconds (above 0).
     pub fn new(memory_s: f64) -> Self {
-        Self { memory_s, nodes: VecDeque::new(), count: 0.0, far2: 0.0 }
+        Self { memory_s, nodes: vec![], count: 0.0, far2: 0.0 }
     }
 
     /// What part of white jitter is left when records come every `interval_s` seconds.
@@ -61,8 +57,8 @@ impl Causal {
 
     /// Takes a record: seconds, later than all before, and the orientation that was said. `false` where it is not later, and is left out.
     pub fn push(&mut self, time_s: f64, said: DQuat) -> bool {
-        let Some(last) = self.nodes.back().copied() else {
-            self.nodes.push_back(Node { time_s, turn: said, rate: DVec3::ZERO, sigma_rad: f64::INFINITY });
+        let Some(last) = self.nodes.last().copied() else {
+            self.nodes.push(Node { time_s, turn: said, rate: DVec3::ZERO, sigma_rad: f64::INFINITY });
             self.count = 1.0;
             return true;
         };
@@ -90,15 +86,12 @@ impl Causal {
             self.far2 += share * (off.length_squared() / 3.0 / (1.0 + foretold2) - self.far2);
         }
         let is_new = n <= 1.0;
-        self.nodes.push_back(Node {
+        self.nodes.push(Node {
             time_s,
             turn: if is_new { said } else { (foretold * DQuat::from_scaled_axis(off * angle)).normalize() },
             rate: if is_new { DVec3::ZERO } else { last.rate + off * (speed / interval_s) },
             sigma_rad: if n > 2.0 { (self.far2 * left.max(angle * angle)).sqrt() } else { f64::INFINITY },
         });
-        while self.nodes.front().is_some_and(|node| node.time_s < time_s - KEPT_S) {
-            self.nodes.pop_front();
-        }
         true
     }
 
@@ -118,7 +111,7 @@ impl Causal {
 
     /// When the last record of all was said, seconds.
     pub fn last_s(&self) -> Option<f64> {
-        self.nodes.back().map(|node| node.time_s)
+        self.nodes.last().map(|node| node.time_s)
     }
 }
 
@@ -139,7 +132,8 @@ mod tests {
 
     fn filtered(memory_s: f64, turn: impl Fn(f64) -> DQuat) -> Causal {
         let mut filter = Causal::new(memory_s);
-        (0..1200).for_each(|k| assert!(filter.push(f64::from(k) * INTERVAL_S, turn(f64::from(k) * INTERVAL_S))));
+        (0..1200)
+            .for_each(|k| assert!(filter.push(f64::from(k) * INTERVAL_S, turn(f64::from(k) * INTERVAL_S))));
         filter
     }
 

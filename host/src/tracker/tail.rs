@@ -104,7 +104,9 @@ mod tests {
         // Who names a receiver may have two.
         std::fs::write(&path, format!("{text}{}\n", line(60, 2))).unwrap();
         assert_eq!(Tail::new(&path, Some(2)).take().unwrap().len(), 1);
-        for (wrong, word) in [(line(20, 1), "line 51"), (line(60, 2), "second receiver"), ("{".into(), "line 51")] {
+        for (wrong, word) in
+            [(line(20, 1), "line 51"), (line(60, 2), "second receiver"), ("{".into(), "line 51")]
+        {
             let mut tail = tail.clone();
             std::fs::write(&path, format!("{text}{wrong}\n")).unwrap();
             let message = tail.take().unwrap_err().to_string();

@@ -30,7 +30,11 @@ pub(super) fn picture_of(arguments: &Mosaic) -> PathBuf {
 pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Result<()> {
     let folder = &arguments.shots;
     if !folder.is_dir() {
-        return Err(Error::input(folder, "is no folder that could fill", "name the folder in which photographs arrive"));
+        return Err(Error::input(
+            folder,
+            "is no folder that could fill",
+            "name the folder in which photographs arrive",
+        ));
     }
     let picture = picture_of(arguments);
     require_place(&picture, true)?;
@@ -60,7 +64,8 @@ pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Re
             1.0 / USUAL_S,
             match (tracking.delay_s, tracking.mount) {
                 (Some(_), Some(_)) => "",
-                _ => "; without --delay and --mount the receiver is taken to sit straight and photographs to be as old as their files: the map's own adjustment knows better",
+                _ =>
+                    "; without --delay and --mount the receiver is taken to sit straight and photographs to be as old as their files: the map's own adjustment knows better",
             }
         );
     }

@@ -54,7 +54,8 @@ pub fn mosaic(arguments: &Mosaic) -> Result<()> {
     for place in [Some(&arguments.out), picture.as_ref()].into_iter().flatten() {
         require_no_photograph(place, &shots)?;
     }
-    let options = Options { fill: arguments.fill, ..arguments.photographs.options(&shots.shots[0].path, size)? };
+    let options =
+        Options { fill: arguments.fill, ..arguments.photographs.options(&shots.shots[0].path, size)? };
     let made = make(&shots, &options, &bar).map_err(|error| error.about(&arguments.shots))?;
     if made.placed.iter().any(|placed| placed.matched > 0) {
         say!(
