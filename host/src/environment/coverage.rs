@@ -79,6 +79,35 @@ pub struct Wanted {
     pub overlap: f64,
 }
 
+/// All elevations, with an overlap of 30 %.
+impl Default for Wanted {
+    fn default() -> Self {
+        Self { lowest_rad: -FRAC_PI_2, highest_rad: FRAC_PI_2, overlap: 0.3 }
+    }
+}
+
+impl Wanted {
+    /// Refuses what cannot be wanted.
+    ///
+    /// # Errors
+    /// [`Error::Request`] where no elevation is wanted, or no photograph could overlap another as much as is wanted.
+    pub fn require(&self) -> Result<()> {
+        let Self { lowest_rad, highest_rad, overlap } = *self;
+        if lowest_rad < highest_rad && (0.0..0.95).contains(&overlap) {
+            return Ok(());
+        }
+        Err(Error::request(
+            format!(
+                "elevations from {:.0} to {:.0} degrees with an overlap of {:.0} %",
+                lowest_rad.to_degrees(),
+                highest_rad.to_degrees(),
+                100.0 * overlap
+            ),
+            "give a lowest elevation below the highest one, and an overlap below 95 %",
+        ))
+    }
+}
+
 #[derive(Clone, Copy)]
 struct Cell {
     direction: DVec3,
@@ -101,20 +130,10 @@ impl Coverage {
     /// Of photographs with this lens, nothing seen yet.
     ///
     /// # Errors
-    /// [`Error::Request`] where nothing is wanted, or no photograph could overlap another as much as is wanted.
+    /// What [`Wanted::require`] refuses.
     pub fn new(lens: Lens, wanted: Wanted) -> Result<Self> {
-        let Wanted { lowest_rad, highest_rad, overlap } = wanted;
-        if !(lowest_rad < highest_rad && (0.0..0.95).contains(&overlap)) {
-            return Err(Error::request(
-                format!(
-                    "elevations from {:.0} to {:.0} degrees with an overlap of {:.0} %",
-                    lowest_rad.to_degrees(),
-                    highest_rad.to_degrees(),
-                    100.0 * overlap
-                ),
-                "give a lowest elevation below the highest one, and an overlap below 95 %",
-            ));
-        }
+        wanted.require()?;
+        let Wanted { lowest_rad, highest_rad, .. } = wanted;
         let size = LatLong::new(2 * ROWS, ROWS)?;
         let cell = |i: usize| {
             let (column, row) = (i % size.width(), i / size.width());
@@ -280,13 +299,6 @@ fn border(lens: Lens) -> impl Iterator<Item = DVec3> {
         let at = DVec2::new(from.0, from.1).lerp(DVec2::new(to.0, to.1), part);
         lens.unproject(at - 0.5)
     })
-}
-
-/// All elevations, with an overlap of 30 %.
-impl Default for Wanted {
-    fn default() -> Self {
-        Self { lowest_rad: -FRAC_PI_2, highest_rad: FRAC_PI_2, overlap: 0.3 }
-    }
 }
 
 #[cfg(test)]

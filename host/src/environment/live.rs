@@ -128,13 +128,14 @@ impl<'a> Live<'a> {
     /// Looks into a folder; `options`, of which the lens counts, may depend on the first photograph.
     ///
     /// # Errors
-    /// [`Error::Io`] where the folder cannot be read, [`Error::Input`] for records that are no `tracker.jsonl`.
+    /// [`Error::Io`] where the folder cannot be read, [`Error::Input`] for records that are no `tracker.jsonl`, or what [`Wanted::require`] refuses.
     pub fn open(
         folder: &Path,
         tracking: &Tracking,
         wanted: Wanted,
         options: impl Fn(&Path) -> Result<Options> + 'a,
     ) -> Result<Self> {
+        wanted.require()?;
         list(folder)?;
         let table = TABLES.iter().map(|name| folder.join(name)).find(|table| table.exists());
         let beside = folder.join("tracker.jsonl");

@@ -1,8 +1,9 @@
 //! `rigel mosaic --live`: while one turns, what was seen and where to point next.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use glam::DVec3;
 use rigel::capture::TrackerLog;
 use rigel::environment::{Coverage, Live, MEMORY_S, Next, Place, Pointing, Tracking, Wanted};
 use rigel::geometry::LatLong;
@@ -21,7 +22,7 @@ const LOOK: Duration = Duration::from_millis(150);
 const USUAL_S: f64 = 1.0 / 60.0;
 
 /// The picture of what was seen, beside the map.
-pub(super) fn picture_of(arguments: &Mosaic) -> PathBuf {
+fn picture_of(arguments: &Mosaic) -> PathBuf {
     let name = arguments.out.file_stem().unwrap_or_default().to_string_lossy();
     arguments.out.with_file_name(format!("{name}-coverage.png"))
 }
@@ -37,12 +38,24 @@ pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Re
         ));
     }
     let picture = picture_of(arguments);
+    let place = |path: &Path| path.canonicalize().ok();
+    if place(picture.parent().filter(|parent| *parent != Path::new("")).unwrap_or(Path::new(".")))
+        == place(folder)
+    {
+        return Err(Error::input(
+            &arguments.out,
+            "would be taken for a photograph, as the folder is watched",
+            "name a map in another folder",
+        ));
+    }
     require_place(&picture, true)?;
     let wanted = Wanted {
         lowest_rad: arguments.lowest_deg.to_radians(),
         highest_rad: arguments.highest_deg.to_radians(),
         overlap: arguments.overlap,
     };
+    // Before a rig is bothered.
+    wanted.require()?;
     let mut rig = arguments.rig.as_deref().map(greet_named).transpose()?;
     let mut log = None;
     if let Some((rig, _)) = &mut rig {
@@ -51,7 +64,7 @@ pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Re
         rig.track(Receivers { stations, format: Format::Binary, output: Output::Quaternion })?;
         log = Some(TrackerLog::start(records, folder)?);
     }
-    let options = |first: &std::path::Path| arguments.photographs.options(first, size);
+    let options = |first: &Path| arguments.photographs.options(first, size);
     let mut live = Live::open(folder, tracking, wanted, options)?;
     say!("orientations: {}", live.source());
     if let Some(filter) = live.filter() {
@@ -77,16 +90,19 @@ pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Re
         if let Some(log) = &mut log {
             log.check()?;
         }
-        for arrival in live.look()? {
-            let Some(coverage) = live.coverage() else { continue };
-            match arrival.place {
-                Ok(place) => {
+        let arrivals = live.look()?;
+        let last = arrivals.iter().rposition(|arrival| arrival.place.is_ok());
+        for (i, arrival) in arrivals.into_iter().enumerate() {
+            let words = match (arrival.place, live.coverage()) {
+                (Ok(place), Some(coverage)) if Some(i) == last => {
                     next = coverage.next();
-                    line.aside(|| say!("{}: {}", arrival.name, told(&place, coverage, next.as_ref())));
+                    coverage.write_png(&picture, next.as_ref())?;
+                    format!("{}; {}", told(&place), ahead(coverage, next.as_ref()))
                 }
-                Err(why) => line.aside(|| say!("{}: {why}", arrival.name)),
-            }
-            coverage.write_png(&picture, next.as_ref())?;
+                (Ok(place), _) => told(&place),
+                (Err(why), _) => why,
+            };
+            line.aside(|| say!("{}: {words}", arrival.name));
         }
         if let (Some(now), Some(next)) = (live.pointing(), &next) {
             line.show(&format!("{}: {}", pointed(now), way(now, next)));
@@ -122,15 +138,23 @@ pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Re
     Ok(())
 }
 
-/// Where a photograph was pointed, what is seen by now, and where to go.
-fn told(place: &Place, coverage: &Coverage, next: Option<&Next>) -> String {
+/// Where a photograph was pointed.
+fn told(place: &Place) -> String {
     let sigma = place.sigma_rad.map_or(String::new(), |sigma| format!(" ± {:.1}", sigma.to_degrees()));
     format!(
-        "{}{sigma}, {:.1} % of the sphere new; {:.1} % seen, {:.1} % of what is wanted; {}",
-        pointed(coverage.last()),
-        100.0 * place.gained,
-        100.0 * coverage.seen().0,
-        100.0 * coverage.seen().1,
+        "{}{sigma}, {:.1} % of the sphere new",
+        pointed(Pointing::of(place.turn * DVec3::Z)),
+        100.0 * place.gained
+    )
+}
+
+/// What is seen by now, and where to go.
+fn ahead(coverage: &Coverage, next: Option<&Next>) -> String {
+    let (seen, wanted) = coverage.seen();
+    format!(
+        "{:.1} % seen, {:.1} % of what is wanted; {}",
+        100.0 * seen,
+        100.0 * wanted,
         next.map_or("nothing is left".into(), |next| format!(
             "next {}: {} ({:.1} % new, {:.0} % overlap)",
             pointed(next.pointing),

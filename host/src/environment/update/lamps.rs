@@ -83,6 +83,7 @@ impl Lamps {
             (0..lights.len()).max_by(|a, b| lights[*a].dot(d).total_cmp(&lights[*b].dot(d))).unwrap_or(0)
         };
         let of: Vec<usize> = core.par_iter().map(nearest).collect();
+        let of = joined(map, (&core, &of), lights.len());
         let all: f64 = (0..size.count())
             .filter(|&i| seen(i))
             .map(|i| luminance(i) * size.solid_angle(i / size.width()))
@@ -223,4 +224,21 @@ impl Lamps {
             }
         }
     }
+}
+
+/// Lights that touch are parts of one lamp: per pixel of `core` the first of its lamp's lights.
+fn joined(map: &EnvironmentMap, (core, of): (&[usize], &[usize]), count: usize) -> Vec<usize> {
+    let (width, height) = (map.size.width(), map.size.height());
+    let mut light = vec![usize::MAX; map.size.count()];
+    core.iter().zip(of).for_each(|(&i, &own)| light[i] = own);
+    let mut first: Vec<usize> = (0..count).collect();
+    for &i in core {
+        let (column, row) = (i % width, i / width);
+        let beside = [Some(row * width + (column + 1) % width), (row + 1 < height).then_some(i + width)];
+        for next in beside.into_iter().flatten().filter(|&next| light[next] != usize::MAX) {
+            let (a, b) = (first[light[i]], first[light[next]]);
+            first.iter_mut().filter(|own| **own == a.max(b)).for_each(|own| *own = a.min(b));
+        }
+    }
+    of.iter().map(|&own| first[own]).collect()
 }
