@@ -56,7 +56,7 @@ pub struct Arrival {
 pub struct Place {
     /// Camera frame (y down, z forward) to the world.
     pub turn: DQuat,
-    /// How sure that is about each axis, radians, beside what all share; `None` where the table does not say.
+    /// How sure that is about each axis, radians, beside what all share and the filter's lag ([`Causal::lag_s2`]); `None` where the table does not say.
     pub sigma_rad: Option<f64>,
     /// The part of the sphere that it shows for the first time.
     pub gained: f64,
@@ -174,8 +174,10 @@ impl<'a> Live<'a> {
     /// What says how the camera is turned, in words.
     pub fn source(&self) -> &'static str {
         match (&self.table, &self.tracker) {
-            (Some(_), Some(_)) => "the table and the tracker's records",
-            (Some(_), None) => "the table",
+            (Some(_), Some(_)) => {
+                "the table and the tracker's records; photographs that the table does not list are left out"
+            }
+            (Some(_), None) => "the table; photographs that it does not list are left out",
             (None, Some(_)) => "the tracker's records at the time when a photograph was written",
             (None, None) => "the photographs; the first one is taken to look straight ahead, level",
         }

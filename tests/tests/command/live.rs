@@ -3,6 +3,7 @@
 #![cfg(target_os = "linux")]
 #![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
 
+#[expect(dead_code, reason = "each test uses a part of it")]
 mod common;
 
 use std::io::{BufRead, BufReader, Read};
@@ -18,7 +19,7 @@ const SMALL: [&str; 4] = ["--size", "128x64", "--fov", "67.4"];
 
 fn tour() -> Tour {
     Tour {
-        photographs: 14,
+        photographs: 30,
         laps: 1.0,
         lens: Lens::pinhole(240, 180, 180.0),
         jitter_rad: 0.0,

@@ -9,9 +9,13 @@ use rayon::prelude::*;
 use super::SIGMAS;
 use crate::environment::EnvironmentMap;
 use crate::environment::lights::{Method, Remainder, lights};
+use crate::geometry::LatLong;
 
 /// Lamps are so many times as bright as half of the sphere.
 const BRIGHT: f64 = 10.0;
+/// What is dimmer than this part of a lamp is its glow; lights between which it is not darker than this part of the dimmer one are one lamp.
+const GLOW: f64 = 0.1;
+const TOUCHING: f64 = 0.5;
 /// The lights that are looked at, and the part of all luminance that one must have.
 const MOST: usize = 16;
 const LEAST: f64 = 0.01;
@@ -83,7 +87,21 @@ impl Lamps {
             (0..lights.len()).max_by(|a, b| lights[*a].dot(d).total_cmp(&lights[*b].dot(d))).unwrap_or(0)
         };
         let of: Vec<usize> = core.par_iter().map(nearest).collect();
-        let of = joined(map, (&core, &of), lights.len());
+        // Of each light, as bright as its power is in the mean.
+        let radiance_of = |of: &[usize]| -> Vec<f64> {
+            let mut sums = vec![(0.0, 0.0); lights.len()];
+            for (&i, &own) in core.iter().zip(of) {
+                let power = luminance(i) * size.solid_angle(i / size.width());
+                sums[own].0 += power * luminance(i);
+                sums[own].1 += power;
+            }
+            sums.iter().map(|(square, sum)| square / f64::max(*sum, f64::MIN_POSITIVE)).collect()
+        };
+        let of = joined(size, (&core, &of), &luminance, &radiance_of(&of));
+        let radiance = radiance_of(&of);
+        // The glow around a lamp is none of it.
+        let (core, of): (Vec<usize>, Vec<usize>) =
+            core.into_iter().zip(of).filter(|&(i, own)| luminance(i) > GLOW * radiance[own]).unzip();
         let all: f64 = (0..size.count())
             .filter(|&i| seen(i))
             .map(|i| luminance(i) * size.solid_angle(i / size.width()))
@@ -226,18 +244,31 @@ impl Lamps {
     }
 }
 
-/// Lights that touch are parts of one lamp: per pixel of `core` the first of its lamp's lights.
-fn joined(map: &EnvironmentMap, (core, of): (&[usize], &[usize]), count: usize) -> Vec<usize> {
-    let (width, height) = (map.size.width(), map.size.height());
-    let mut light = vec![usize::MAX; map.size.count()];
+/// Lights that touch where they are bright are parts of one lamp: per pixel of `core` the first of its lamp's lights. `radiance` is that of each light.
+fn joined(
+    size: LatLong,
+    (core, of): (&[usize], &[usize]),
+    luminance: &dyn Fn(usize) -> f64,
+    radiance: &[f64],
+) -> Vec<usize> {
+    let mut light = vec![usize::MAX; size.count()];
     core.iter().zip(of).for_each(|(&i, &own)| light[i] = own);
-    let mut first: Vec<usize> = (0..count).collect();
+    let mut first: Vec<usize> = (0..radiance.len()).collect();
     for &i in core {
-        let (column, row) = (i % width, i / width);
-        let beside = [Some(row * width + (column + 1) % width), (row + 1 < height).then_some(i + width)];
+        let (column, row) = (i % size.width(), i / size.width());
+        let beside = [
+            Some(row * size.width() + (column + 1) % size.width()),
+            (row + 1 < size.height()).then_some(i + size.width()),
+        ];
         for next in beside.into_iter().flatten().filter(|&next| light[next] != usize::MAX) {
-            let (a, b) = (first[light[i]], first[light[next]]);
-            first.iter_mut().filter(|own| **own == a.max(b)).for_each(|own| *own = a.min(b));
+            let (own, other) = (light[i], light[next]);
+            if own == other
+                || luminance(i).min(luminance(next)) < TOUCHING * radiance[own].min(radiance[other])
+            {
+                continue;
+            }
+            let (a, b) = (first[own], first[other]);
+            first.iter_mut().filter(|lamp| **lamp == a.max(b)).for_each(|lamp| *lamp = a.min(b));
         }
     }
     of.iter().map(|&own| first[own]).collect()
