@@ -5,12 +5,14 @@
 //! which makes an [`EnvironmentMap`]. [`mosaic`] goes the whole road.
 
 mod align;
+mod coverage;
 mod cube;
 mod features;
 mod fill;
 mod gain;
 pub(crate) mod lattice;
 mod lights;
+mod live;
 mod map;
 mod merge;
 mod mosaic;
@@ -22,14 +24,16 @@ mod tracked;
 mod update;
 mod warp;
 
+pub use coverage::{Coverage, Next, Pointing, Wanted};
 pub use cube::Cube;
 pub use lights::{Light, Lights, Method, Remainder, lights};
-pub use map::{EnvironmentMap, Flag};
+pub use live::{Arrival, Live, MEMORY_S, Place};
+pub use map::{EnvironmentMap, Flag, Unit};
 pub(crate) use map::{tone_mapped, write_exr};
 pub use merge::{Merged, Options as MergeOptions, merge};
 pub use mosaic::{Mosaic, Options, Placed, mosaic};
 pub use plate::{Noise, Plate};
 pub use shots::{Shot, Shots, Tracking};
 pub use tracked::{Tracked, TrackerFit};
-pub use update::{Updated, update};
+pub use update::{Lamp, Updated, update};
 pub use warp::{Filter, Sphere};

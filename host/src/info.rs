@@ -268,6 +268,7 @@ fn open_exr(path: &Path) -> Result<Info> {
         };
         let mut facts = vec![
             size,
+            format!("radiance in {}", map.unit.words()),
             format!("{:.2} % never seen", share(EnvironmentMap::UNSEEN)),
             format!("{:.2} % a lower bound (saturated)", share(EnvironmentMap::LOWER_BOUND)),
         ];

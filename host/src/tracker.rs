@@ -11,12 +11,16 @@ use std::time::SystemTime;
 use glam::{DQuat, DVec3};
 use rigel_protocol::{Orientation, Record};
 
+mod causal;
 mod records;
 mod smooth;
+mod tail;
 mod track;
 mod watch;
 
+pub use causal::Causal;
 pub use smooth::rotation_vector;
+pub use tail::Tail;
 pub use track::{Jump, Track, Turned};
 pub use watch::{StationSummary, Summary, Watch};
 

@@ -9,10 +9,13 @@ use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use rayon::prelude::*;
 use rigel::environment::{
-    EnvironmentMap, Light, Method, Mosaic, Options, Remainder, Shot, Shots, lights, mosaic,
+    EnvironmentMap, Light, Method, Mosaic, Options, Remainder, Shot, Shots, Unit, lights, mosaic,
 };
 use rigel::geometry::{Lens, world_from_camera};
 use rigel::progress::Silent;
+
+/// Times alone are stated.
+const UNIT: Unit = Unit::Saturation { iso: false, f_number: false };
 
 /// Photographs of a map all around, each direction with all exposure times: 8 bits, sRGB, with shot noise and a dark one.
 fn photographs(folder: &Path, room: &EnvironmentMap, times_s: &[f64]) -> Shots {
@@ -50,7 +53,7 @@ fn photographs(folder: &Path, room: &EnvironmentMap, times_s: &[f64]) -> Shots {
         Shot { path, world_from_camera: turn, sigma_rad: Some(1e-4), exposure: Some(time_s) }
     };
     let shots = (0..turns.len() * times_s.len()).into_par_iter().map(shot).collect();
-    Shots { shots, lens: Some(lens), tracker: None }
+    Shots { shots, lens: Some(lens), tracker: None, unit: UNIT }
 }
 
 fn made(room: &EnvironmentMap, times_s: &[f64]) -> Mosaic {

@@ -14,7 +14,14 @@ fn map(rows: u32, radiance: impl Fn(DVec3) -> [f32; 3]) -> EnvironmentMap {
     let size = LatLong::new(2 * rows, rows).unwrap();
     let at = |i: usize| DVec2::new((i % size.width()) as f64, (i / size.width()) as f64);
     let radiance = (0..size.count()).map(|i| radiance(size.direction(at(i)))).collect();
-    EnvironmentMap { size, radiance, variance: vec![], coverage: vec![], flags: vec![] }
+    EnvironmentMap {
+        size,
+        radiance,
+        variance: vec![],
+        coverage: vec![],
+        flags: vec![],
+        unit: Default::default(),
+    }
 }
 
 fn direction(longitude_deg: f64, latitude_deg: f64) -> DVec3 {

@@ -8,12 +8,15 @@ use std::path::Path;
 use glam::{DQuat, DVec2, DVec3};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
-use rigel::environment::{EnvironmentMap, MergeOptions, Mosaic, Options, Placed, Shot, Shots, mosaic};
+use rigel::environment::{EnvironmentMap, MergeOptions, Mosaic, Options, Placed, Shot, Shots, Unit, mosaic};
 use rigel::geometry::{LatLong, Lens, world_from_camera};
 use rigel::picture::Picture;
 use rigel::progress::Silent;
 
 const LENS: (u32, u32, f64) = (320, 240, 240.0);
+
+/// Times alone are stated.
+const UNIT: Unit = Unit::Saturation { iso: false, f_number: false };
 
 /// Radiance from every direction, 0.1 to 0.7: random values on lattices of these spacings and linear between; flat without any.
 struct Room {
@@ -91,7 +94,7 @@ fn shots_of(folder: &Path, room: &Room, noise_rad: f64, tone: fn(f64) -> f64) ->
             truth.push(turn);
         }
     }
-    (Shots { shots, lens: Some(lens), tracker: None }, truth)
+    (Shots { shots, lens: Some(lens), tracker: None, unit: UNIT }, truth)
 }
 
 fn options(refine: bool) -> Options {
@@ -205,7 +208,7 @@ fn a_strip_lower_than_a_block_is_no_trouble() {
         // Rolled, as it would lie between two of the map's rows otherwise.
         Shot { path, world_from_camera: DQuat::from_rotation_z(0.3), sigma_rad: None, exposure: None }
     };
-    let shots = Shots { shots: vec![shot("a.png"), shot("b.png")], lens: None, tracker: None };
+    let shots = Shots { shots: vec![shot("a.png"), shot("b.png")], lens: None, tracker: None, unit: UNIT };
     let options = Options { field_of_view_rad: Some(1.0), ..options(true) };
     let made = mosaic(&shots, &options, &Silent).unwrap();
     assert!(made.map.coverage.contains(&2) && made.map.flags.contains(&0));
@@ -348,6 +351,7 @@ fn what_cannot_become_a_map_is_refused_in_a_sentence() {
         shots: which.iter().map(|&i| shots.shots[i].clone()).collect(),
         lens: shots.lens,
         tracker: None,
+        unit: UNIT,
     };
     refused(&few(&[0]), &options(false), "at least two");
     refused(&few(&[0, 30]), &options(false), "none of the 2 photographs");

@@ -37,7 +37,14 @@ fn map(
             sum.map(|sum| sum as f32)
         })
         .collect();
-    EnvironmentMap { size, radiance, variance: vec![], coverage: vec![], flags: vec![] }
+    EnvironmentMap {
+        size,
+        radiance,
+        variance: vec![],
+        coverage: vec![],
+        flags: vec![],
+        unit: Default::default(),
+    }
 }
 
 /// A box with its corners in two opposite points, seen from inside or from outside.

@@ -5,9 +5,15 @@
 use std::path::Path;
 
 use glam::{DQuat, DVec2, DVec3};
-use rigel::environment::{EnvironmentMap, MergeOptions, Options, Shot, Shots, Updated, update};
+use rand::rngs::StdRng;
+use rand::{Rng, SeedableRng};
+use rayon::prelude::*;
+use rigel::environment::{EnvironmentMap, MergeOptions, Options, Shot, Shots, Unit, Updated, mosaic, update};
 use rigel::geometry::{LatLong, Lens, world_from_camera};
 use rigel::progress::Silent;
+
+/// Times alone are stated.
+const UNIT: Unit = Unit::Saturation { iso: false, f_number: false };
 
 /// What is to be seen in a direction, 0.15 to 0.75.
 fn wall(d: DVec3) -> f64 {
@@ -27,6 +33,7 @@ fn map(seen: impl Fn(DVec3) -> bool) -> EnvironmentMap {
         variance: vec![1e-5; size.count()],
         coverage: vec![3; size.count()],
         flags,
+        unit: UNIT,
     }
 }
 
@@ -50,7 +57,7 @@ fn photographs(folder: &Path, radiance: impl Fn(DVec3) -> [f64; 3], off_rad: f64
         let world_from_camera = DQuat::from_rotation_y(off_rad) * turn;
         Shot { path, world_from_camera, sigma_rad: Some(0.02), exposure: Some(time_s) }
     };
-    Shots { shots: (0..5).map(shot).collect(), lens: Some(lens), tracker: None }
+    Shots { shots: (0..5).map(shot).collect(), lens: Some(lens), tracker: None, unit: UNIT }
 }
 
 fn made(map: &EnvironmentMap, shots: &Shots, refine: bool) -> rigel::Result<Updated> {
@@ -127,8 +134,186 @@ fn photographs_that_are_a_degree_off_are_turned_to_the_map() {
     let folder = tempfile::tempdir().unwrap();
     let map = map(|_| true);
     let made = made(&map, &photographs(folder.path(), |d| [wall(d); 3], 0.02), true).unwrap();
-    println!("turned by {:.4}, {:.4} replaced", made.turned_rad, made.replaced);
+    let sigma = made.turned_sigma_rad.unwrap();
+    println!("turned by {:.4} ± {sigma:.4}, {:.4} replaced", made.turned_rad, made.replaced);
     assert!((made.turned_rad - 0.02).abs() < 0.004 && !made.is_changed && made.replaced < 0.001);
+    assert!((made.turned_rad - 0.02).abs() < 3.0 * sigma && sigma < 0.004);
+}
+
+#[test]
+fn where_photographs_cannot_be_turned_to_the_map_that_is_said_and_no_part_of_a_turn_is_taken() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut even = map(|_| true);
+    even.radiance.iter_mut().for_each(|pixel| *pixel = [0.4; 3]);
+    let made_even = made(&even, &photographs(folder.path(), |_| [0.4; 3], 0.02), true).unwrap();
+    assert_eq!((made_even.turned_rad, made_even.turned_sigma_rad), (0.0, None));
+    assert!(
+        made_even.new.notes.iter().any(|note| note.contains("cannot be told")),
+        "{:?}",
+        made_even.new.notes
+    );
+    // Stripes along the horizon tell two of three angles.
+    let stripe = |d: DVec3| 0.4 + 0.2 * (12.0 * d.y).sin();
+    let mut striped = map(|_| true);
+    for i in 0..striped.radiance.len() {
+        let at = DVec2::new((i % 512) as f64, (i / 512) as f64);
+        striped.radiance[i] = [stripe(striped.size.direction(at)) as f32; 3];
+    }
+    let made_striped = made(&striped, &photographs(folder.path(), |d| [stripe(d); 3], 0.02), true).unwrap();
+    assert_eq!((made_striped.turned_rad, made_striped.turned_sigma_rad), (0.0, None));
+    // Nine degrees off.
+    let refused = made(&map(|_| true), &photographs(folder.path(), |d| [wall(d); 3], 0.16), true);
+    let is_said = match &refused {
+        Err(error) => error.to_string().contains("fit the map nowhere"),
+        Ok(made) => made.turned_sigma_rad.is_none(),
+    };
+    assert!(is_said, "{:?}", refused.map(|made| (made.turned_rad, made.turned_sigma_rad)));
+}
+
+#[test]
+fn maps_in_another_unit_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let shots = photographs(folder.path(), |d| [wall(d); 3], 0.0);
+    for unit in [Unit::Unknown, Unit::MeanPhotograph, Unit::Saturation { iso: true, f_number: false }] {
+        let other = EnvironmentMap { unit, ..map(|_| true) };
+        let message = made(&other, &shots, false).err().unwrap().to_string();
+        assert!(message.contains(unit.words()) && message.contains("--same-unit"), "{message}");
+        // A file keeps it.
+        let file = folder.path().join("map.exr");
+        other.write(&file).unwrap();
+        assert_eq!(EnvironmentMap::read(&file).unwrap().unit, unit);
+    }
+}
+
+/// Bracketed photographs of a room around some directions, each with all exposure times: 8 bits, sRGB, with shot noise and a dark one.
+fn bracketed(folder: &Path, room: &EnvironmentMap, turns: &[DQuat], seed: u64) -> Shots {
+    let lens = Lens::pinhole(256, 192, 180.0);
+    let times_s = [0.125f64.powi(4), 0.125f64.powi(3), 0.125f64.powi(2), 0.125, 1.0];
+    let shot = |number: usize| {
+        let (turn, time_s) = (turns[number / times_s.len()], times_s[number % times_s.len()]);
+        let mut random = StdRng::seed_from_u64(1000 * seed + number as u64);
+        let path = folder.join(format!("{seed}_{number:03}.png"));
+        let picture = image::RgbImage::from_fn(lens.width, lens.height, |x, y| {
+            let direction = turn * lens.unproject(DVec2::new(f64::from(x), f64::from(y))).unwrap();
+            image::Rgb(room.toward(direction).0.map(|radiance| {
+                let exposure = radiance * time_s;
+                let normal: f64 = (0..4).map(|_| random.random_range(-0.866..0.866)).sum();
+                let sigma = (exposure.min(1.0) / 1e4 + 2e-4f64.powi(2)).sqrt();
+                let x = (exposure + sigma * normal).clamp(0.0, 1.0);
+                (255.0 * if x <= 0.0031308 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 }).round()
+                    as u8
+            }))
+        });
+        picture.save(&path).unwrap();
+        Shot { path, world_from_camera: turn, sigma_rad: Some(1e-4), exposure: Some(time_s) }
+    };
+    let shots = (0..turns.len() * times_s.len()).into_par_iter().map(shot).collect();
+    Shots { shots, lens: Some(lens), tracker: None, unit: UNIT }
+}
+
+fn luminance(pixel: [f32; 3]) -> f32 {
+    0.2126 * pixel[0] + 0.7152 * pixel[1] + 0.0722 * pixel[2]
+}
+
+/// The pixels that hang together with one and are brighter than this.
+fn connected(map: &EnvironmentMap, from: usize, bright: f32) -> Vec<usize> {
+    let (width, height) = (map.size.width(), map.size.height());
+    let (mut open, mut is_in) = (vec![from], vec![false; map.size.count()]);
+    is_in[from] = true;
+    let mut found = vec![];
+    while let Some(at) = open.pop() {
+        found.push(at);
+        let (x, y) = (at % width, at / width);
+        let beside = [y * width + (x + 1) % width, y * width + (x + width - 1) % width];
+        for next in
+            beside.into_iter().chain((y > 0).then(|| at - width)).chain((y + 1 < height).then(|| at + width))
+        {
+            if !is_in[next] && luminance(map.radiance[next]) > bright {
+                is_in[next] = true;
+                open.push(next);
+            }
+        }
+    }
+    found
+}
+
+#[test]
+fn one_lamp_that_was_dimmed_is_told_from_the_others_and_from_the_room() {
+    let Some(path) = rigel_tests::data("environment/studio.hdr") else { return };
+    let room = EnvironmentMap::read(&path).unwrap();
+    let at = |i: usize| DVec2::new((i % room.size.width()) as f64, (i / room.size.width()) as f64);
+    let brightest = (0..room.size.count())
+        .max_by(|a, b| luminance(room.radiance[*a]).total_cmp(&luminance(room.radiance[*b])))
+        .unwrap();
+    let lamp = room.size.direction(at(brightest));
+    let pixels = connected(&room, brightest, 0.1 * luminance(room.radiance[brightest]));
+    let folder = tempfile::tempdir().unwrap();
+    let options = |refine: bool| Options { sigma_rad: 0.035, refine, ..Options::new(room.size) };
+    // All around for the map; around the lamps afterwards.
+    let mut around = vec![];
+    for (pitch, count) in [(-75.0f64, 3), (-40.0, 8), (0.0, 9), (40.0, 8), (75.0, 3)] {
+        for i in 0..count {
+            let yaw = std::f64::consts::TAU * (f64::from(i) + 0.3) / f64::from(count);
+            let turn = DQuat::from_rotation_y(yaw) * DQuat::from_rotation_x(pitch.to_radians());
+            around.push(world_from_camera(turn));
+        }
+    }
+    let before = mosaic(&bracketed(folder.path(), &room, &around, 1), &options(false), &Silent).unwrap().map;
+    // The other lamps of the studio are on the other side.
+    let is_near = |turn: &DQuat| [lamp, -lamp].iter().any(|to| (*turn * DVec3::Z).angle_between(*to) < 1.1);
+    let shifted: Vec<DQuat> =
+        around.iter().filter(|turn| is_near(turn)).map(|turn| DQuat::from_rotation_y(0.13) * *turn).collect();
+    for (seed, (lamp_factor, rest_factor)) in [(0.5, 1.0), (1.0, 1.0), (0.6, 0.8)].into_iter().enumerate() {
+        let mut now = room.clone();
+        now.radiance.iter_mut().for_each(|pixel| *pixel = pixel.map(|value| value * rest_factor as f32));
+        for &i in &pixels {
+            now.radiance[i] = room.radiance[i].map(|value| value * lamp_factor as f32);
+        }
+        let shots = bracketed(folder.path(), &now, &shifted, 2 + seed as u64);
+        let made = update(&before, &shots, &options(false), 0.02, &Silent).unwrap();
+        println!("truth {lamp_factor} {rest_factor}: rest {:?} ± {:?}", made.factor, made.sigma);
+        for lamp in &made.lamps {
+            println!("  {:?}", lamp);
+        }
+        let (mut dimmed, mut others) = (0, 0);
+        for found in &made.lamps {
+            let Some((factor, sigma)) = found.factor else { continue };
+            let is_it =
+                pixels.iter().any(|&i| room.size.direction(at(i)).angle_between(found.direction) < 0.02);
+            let truth = if is_it { lamp_factor } else { rest_factor };
+            (0..3).for_each(|c| {
+                let off = (factor[c] - truth).abs() / (truth * sigma[c]);
+                assert!(off < 2.0, "{off} sigmas: {found:?}");
+                assert!(sigma[c] < 0.1);
+            });
+            if is_it {
+                dimmed += 1
+            } else {
+                others += 1
+            }
+            assert_eq!(found.is_own, is_it && lamp_factor != rest_factor, "{found:?}");
+        }
+        assert!(dimmed == 1 && others > 0, "{dimmed} {others}");
+        for c in 0..3 {
+            assert!(
+                (made.factor[c] / rest_factor - 1.0).abs() < 2.0 * made.sigma[c].max(0.005),
+                "{:?}",
+                made.factor
+            );
+        }
+        assert_eq!(made.is_changed, rest_factor != 1.0);
+        // The map holds the lamp as it is now.
+        let power = |map: &EnvironmentMap| -> f64 {
+            pixels
+                .iter()
+                .map(|&i| {
+                    room.size.solid_angle(i / room.size.width()) * f64::from(luminance(map.radiance[i]))
+                })
+                .sum()
+        };
+        let kept = power(&made.map) / power(&before);
+        assert!((kept / lamp_factor - 1.0).abs() < 0.04, "{kept} {lamp_factor}");
+    }
 }
 
 #[test]

@@ -29,6 +29,42 @@ pub fn interrupted() -> bool {
     INTERRUPTED.load(Ordering::Relaxed)
 }
 
+/// Whether the user asked to stop; from then on that is forgotten, as something else begins.
+pub fn take_interrupt() -> bool {
+    INTERRUPTED.swap(false, Ordering::Relaxed)
+}
+
+/// A line that always says how things stand now; nothing where the output is not a terminal.
+pub struct Line(ProgressBar);
+
+impl Line {
+    /// An empty line.
+    pub fn new() -> Self {
+        heed_interrupts();
+        let bar = ProgressBar::new_spinner();
+        if let Ok(style) = ProgressStyle::with_template("{msg}") {
+            bar.set_style(style);
+        }
+        Self(bar)
+    }
+
+    /// Says something else from now on.
+    pub fn show(&self, text: &str) {
+        self.0.set_message(text.to_owned());
+        self.0.tick();
+    }
+
+    /// Lets something be printed above it.
+    pub fn aside(&self, print: impl FnOnce()) {
+        self.0.suspend(print);
+    }
+
+    /// Takes it away.
+    pub fn end(&self) {
+        self.0.finish_and_clear();
+    }
+}
+
 /// A bar with the remaining time; nothing where the output is not a terminal.
 pub struct Bar(ProgressBar);
 

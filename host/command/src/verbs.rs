@@ -12,6 +12,7 @@ mod fit;
 mod import;
 mod info;
 mod lights;
+mod live;
 mod mosaic;
 mod plan;
 mod register;

@@ -127,7 +127,14 @@ mod tests {
         let size = LatLong::new(2 * rows, rows).unwrap();
         let at = |i: usize| DVec2::new((i % size.width()) as f64, (i / size.width()) as f64);
         let radiance = (0..size.count()).map(|i| [radiance(size.direction(at(i))) as f32; 3]).collect();
-        EnvironmentMap { size, radiance, variance: vec![], coverage: vec![], flags: vec![] }
+        EnvironmentMap {
+            size,
+            radiance,
+            variance: vec![],
+            coverage: vec![],
+            flags: vec![],
+            unit: Default::default(),
+        }
     }
 
     #[test]

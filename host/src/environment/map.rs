@@ -12,12 +12,71 @@ use crate::geometry::LatLong;
 use crate::picture::Picture;
 use crate::{Error, Result, file};
 
-/// The attribute of a map that Rigel wrote.
+/// The attribute of a map that Rigel wrote, and the one that says its unit.
 const MARK: &str = "rigelEnvironment";
+const UNIT: &str = "rigelUnit";
 const SOFTWARE: &str = concat!("rigel ", env!("CARGO_PKG_VERSION"));
 
 /// What is special about a pixel; 0 is nothing.
 pub type Flag = u8;
+
+/// What a map's radiance is counted in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Unit {
+    /// Nothing says it: a map of another program.
+    #[default]
+    Unknown,
+    /// That of the mean photograph: no exposure was stated.
+    MeanPhotograph,
+    /// 1 saturates a photograph whose exposure is 1: its time in seconds, times its sensitivity where the photographs state it, over the square of
+    /// its f-number where they state that.
+    Saturation {
+        /// Sensitivities were stated.
+        iso: bool,
+        /// F-numbers were stated.
+        f_number: bool,
+    },
+}
+
+impl Unit {
+    const ALL: [(Self, &str, &str); 6] = [
+        (Self::Unknown, "unknown", "a unit that nothing tells"),
+        (Self::MeanPhotograph, "mean photograph", "a unit of its own (exposures were not stated)"),
+        (
+            Self::Saturation { iso: false, f_number: false },
+            "saturation s",
+            "what saturates a photograph of 1 s",
+        ),
+        (
+            Self::Saturation { iso: true, f_number: false },
+            "saturation s iso",
+            "what saturates a photograph of 1 s at ISO 1",
+        ),
+        (
+            Self::Saturation { iso: false, f_number: true },
+            "saturation s/f2",
+            "what saturates a photograph of 1 s at f/1",
+        ),
+        (
+            Self::Saturation { iso: true, f_number: true },
+            "saturation s iso/f2",
+            "what saturates a photograph of 1 s at ISO 1 and f/1",
+        ),
+    ];
+
+    /// In words, after "in".
+    pub fn words(self) -> &'static str {
+        Self::ALL.iter().find(|(unit, ..)| *unit == self).map_or("", |(_, _, words)| words)
+    }
+
+    fn name(self) -> &'static str {
+        Self::ALL.iter().find(|(unit, ..)| *unit == self).map_or("", |(_, name, _)| name)
+    }
+
+    fn named(name: &str) -> Self {
+        Self::ALL.iter().find(|(_, known, _)| *known == name).map_or(Self::Unknown, |(unit, ..)| *unit)
+    }
+}
 
 /// Radiance from every direction.
 #[derive(Debug, Clone, PartialEq)]
@@ -32,6 +91,8 @@ pub struct EnvironmentMap {
     pub coverage: Vec<u16>,
     /// [`Self::LOWER_BOUND`], [`Self::UNSEEN`] or [`Self::FILLED`]. Empty for a map of another program.
     pub flags: Vec<Flag>,
+    /// What the radiance is counted in.
+    pub unit: Unit,
 }
 
 impl EnvironmentMap {
@@ -72,6 +133,7 @@ impl EnvironmentMap {
             ..Default::default()
         };
         attributes.other.insert(MARK.into(), AttributeValue::I32(1));
+        attributes.other.insert(UNIT.into(), AttributeValue::Text(self.unit.name().into()));
         let size = (self.size.width(), self.size.height());
         let layer = Layer::new(size, attributes, Encoding::FAST_LOSSLESS, AnyChannels::sort(channels));
         write_layer(path, layer)
@@ -82,7 +144,7 @@ impl EnvironmentMap {
     /// # Errors
     /// [`Error::Io`], or [`Error::Input`] where it is no such picture or holds a negative or infinite pixel.
     pub fn read(path: &Path) -> Result<Self> {
-        let Pixels { size: (width, height), radiance, variance, coverage, flags } = read(path)?;
+        let Pixels { size: (width, height), radiance, variance, coverage, flags, unit } = read(path)?;
         let size = LatLong::new(width, height).map_err(|error| error.about(path))?;
         let wrong =
             radiance.iter().position(|pixel| !pixel.iter().all(|value| value.is_finite() && *value >= 0.0));
@@ -95,7 +157,7 @@ impl EnvironmentMap {
             );
             return Err(Error::input(path, what, "give a map of radiance, which is finite and not negative"));
         }
-        Ok(Self { size, radiance, variance, coverage, flags })
+        Ok(Self { size, radiance, variance, coverage, flags, unit })
     }
 
     /// The radiance from a direction of any length, linear between pixels; how much of it was seen (0 to 1); and what is special
@@ -200,6 +262,7 @@ struct Pixels {
     variance: Vec<f32>,
     coverage: Vec<u16>,
     flags: Vec<Flag>,
+    unit: Unit,
 }
 
 fn read(path: &Path) -> Result<Pixels> {
@@ -228,6 +291,10 @@ fn read(path: &Path) -> Result<Pixels> {
         }
         // Another program's channel of such a name says something else.
         let own = layer.attributes.other.contains_key(&exr::meta::attribute::Text::from(MARK));
+        let unit = match layer.attributes.other.get(&exr::meta::attribute::Text::from(UNIT)) {
+            Some(AttributeValue::Text(name)) if own => Unit::named(&name.to_string()),
+            _ => Unit::Unknown,
+        };
         let values = |name: &str| {
             let channel = plane(name).filter(|_| own);
             channel.map_or_else(Vec::new, |channel| channel.sample_data.values_as_f32().collect())
@@ -238,6 +305,7 @@ fn read(path: &Path) -> Result<Pixels> {
             variance: values("variance"),
             coverage: values("coverage").into_iter().map(|value| value as u16).collect(),
             flags: values("flags").into_iter().map(|value| value as Flag).collect(),
+            unit,
         });
     }
     let picture = Picture::read(path)?;
@@ -251,5 +319,6 @@ fn read(path: &Path) -> Result<Pixels> {
         variance: vec![],
         coverage: vec![],
         flags: vec![],
+        unit: Unit::Unknown,
     })
 }

@@ -445,6 +445,7 @@ mod tests {
                     variance: merged.variance,
                     coverage: merged.coverage,
                     flags: vec![0; size().count()],
+                    unit: Default::default(),
                 };
                 map.write(&file).unwrap();
                 assert_eq!(EnvironmentMap::read(&file).unwrap().radiance, map.radiance);

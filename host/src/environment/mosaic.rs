@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::align::{Aligned, Prior, align, between};
 use super::features::{Corners, Gray};
 use super::gain::{Blocks, Photometry, shade_r2, solve};
-use super::map::EnvironmentMap;
+use super::map::{EnvironmentMap, Unit};
 use super::shots::Shots;
 use super::tracked::{Known, Pair, Tracked, TrackerFit};
 use super::{Filter, MergeOptions, Noise, Plate, Sphere, merge};
@@ -148,7 +148,7 @@ pub fn mosaic(shots: &Shots, options: &Options, progress: &dyn Progress) -> Resu
             ));
         }
     }
-    let (lens, calibrated) = lens(shots, options, first)?;
+    let (lens, calibrated) = lens_of(shots.lens, options, first)?;
     let mut notes = vec![];
     let response = match (&options.response, options.linear) {
         (Some(path), _) => Response::read_csv(path)?,
@@ -243,6 +243,7 @@ pub fn mosaic(shots: &Shots, options: &Options, progress: &dyn Progress) -> Resu
         variance: merged.variance,
         coverage: merged.coverage,
         flags,
+        unit: if known.is_empty() { Unit::MeanPhotograph } else { shots.unit },
     };
     if options.fill {
         super::fill::fill(&mut map);
@@ -353,10 +354,10 @@ fn gray_fx(lens: &Lens) -> f64 {
     lens.fx / f64::from(lens.width.div_ceil(GRAY).max(1))
 }
 
-fn lens(shots: &Shots, options: &Options, first: &Picture) -> Result<(Lens, bool)> {
+/// The lens of photographs of this size, and whether it was calibrated; `given` is that of their table.
+pub(super) fn lens_of(given: Option<Lens>, options: &Options, first: &Picture) -> Result<(Lens, bool)> {
     let size = format!("{}x{}", first.width, first.height);
-    let Some(lens) = options.lens.or(if options.field_of_view_rad.is_some() { None } else { shots.lens })
-    else {
+    let Some(lens) = options.lens.or(if options.field_of_view_rad.is_some() { None } else { given }) else {
         let Some(angle) = options.field_of_view_rad else {
             return Err(Error::request("nothing tells the lens", "give --lens FILE or --fov DEGREES"));
         };

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use glam::{DMat3, DQuat, DVec3};
 use serde::Deserialize;
 
+use super::map::Unit;
 use super::tracked::Tracked;
 use crate::geometry::{Lens, world_from_camera};
 use crate::tracker::Track;
@@ -39,6 +40,8 @@ pub struct Shots {
     pub lens: Option<Lens>,
     /// The tracker from which the orientations come, where they do.
     pub tracker: Option<Tracked>,
+    /// What a map of them is counted in where their exposures are stated.
+    pub unit: Unit,
 }
 
 /// A tracker whose receiver was on the camera: where its records are, and what is known of it.
@@ -54,9 +57,10 @@ pub struct Tracking {
     pub mount: Option<DQuat>,
 }
 
+/// A line of the table of photographs.
 #[derive(Deserialize)]
-struct Frame {
-    file: PathBuf,
+pub(super) struct Frame {
+    pub file: PathBuf,
     exposure_s: Option<f64>,
     iso: Option<f64>,
     f_number: Option<f64>,
@@ -69,8 +73,8 @@ struct Frame {
     qx: Option<f64>,
     qy: Option<f64>,
     qz: Option<f64>,
-    sigma_deg: Option<f64>,
-    time_s: Option<f64>,
+    pub sigma_deg: Option<f64>,
+    pub time_s: Option<f64>,
 }
 
 #[derive(Deserialize)]
@@ -85,6 +89,8 @@ struct Intrinsics {
 }
 
 const REMEDY: &str = "give for each file yaw_deg, pitch_deg and roll_deg, R_world_from_cam, the quaternion qw, qx, qy, qz, or time_s and a tracker";
+/// Tables beside photographs.
+pub(super) const TABLES: [&str; 2] = ["frames.json", "frames.csv"];
 /// Records beside photographs.
 const RECORDS: [&str; 2] = ["tracker.jsonl", "tracker.csv"];
 /// Orientations of the tracker that are less sure, about each axis, tell nothing, radians.
@@ -113,9 +119,8 @@ impl Shots {
     /// [`Error::Io`] or [`Error::Input`] that names the photograph whose orientation is missing or is none, or whose time is earlier than that of
     /// the one before; or what [`Track::read`] refuses.
     pub fn read_tracked(path: &Path, tracking: &Tracking) -> Result<Self> {
-        let names = ["frames.json", "frames.csv"];
         let file = if path.is_dir() {
-            names.iter().map(|name| path.join(name)).find(|file| file.exists()).ok_or_else(|| {
+            TABLES.iter().map(|name| path.join(name)).find(|file| file.exists()).ok_or_else(|| {
                 Error::input(
                     path,
                     "holds neither frames.json nor frames.csv",
@@ -125,17 +130,8 @@ impl Shots {
         } else {
             path.to_path_buf()
         };
-        let text = std::fs::read_to_string(&file).map_err(Error::io("read", &file))?;
-        let (frames, lens) = if file.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("csv")) {
-            let frames = csv::Reader::from_reader(text.as_bytes())
-                .deserialize()
-                .collect::<std::result::Result<_, _>>();
-            (frames.map_err(|error| Error::input(&file, format!("cannot be used ({error})"), REMEDY))?, None)
-        } else {
-            json(&text).map_err(|what| Error::input(&file, format!("cannot be used ({what})"), REMEDY))?
-        };
+        let (frames, lens) = read_frames(&file)?;
         let folder = file.parent().unwrap_or(Path::new(""));
-        let frames: Vec<Frame> = frames;
         let exposed = || frames.iter().filter(|frame| frame.exposure_s.is_some());
         // What only some of them say would be guessed of the others.
         let all_say = (exposed().all(|f| f.iso.is_some()), exposed().all(|f| f.f_number.is_some()));
@@ -145,6 +141,10 @@ impl Shots {
             let what = format!("lists {} twice", pair[0].display());
             return Err(Error::input(&file, what, "list each photograph once"));
         }
+        let unit = match exposed().next() {
+            Some(_) => Unit::Saturation { iso: all_say.0, f_number: all_say.1 },
+            None => Unit::MeanPhotograph,
+        };
         let is_tracked = tracking.file.is_some()
             || frames.iter().all(|frame| frame.time_s.is_some() && frame.orientation().is_none());
         let tracker = (is_tracked && !frames.is_empty()).then(|| tracked(&frames, &file, folder, tracking));
@@ -195,8 +195,22 @@ impl Shots {
                 return Err(Error::input(&file, what, "give times and records by one clock, in seconds"));
             }
         }
-        Ok(Self { shots, lens, tracker })
+        Ok(Self { shots, lens, tracker, unit })
     }
+}
+
+/// The lines of a table, and its lens if it says one.
+pub(super) fn read_frames(file: &Path) -> Result<(Vec<Frame>, Option<Lens>)> {
+    let text = std::fs::read_to_string(file).map_err(Error::io("read", file))?;
+    if file.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("csv")) {
+        let frames =
+            csv::Reader::from_reader(text.as_bytes()).deserialize().collect::<std::result::Result<_, _>>();
+        return Ok((
+            frames.map_err(|error| Error::input(file, format!("cannot be used ({error})"), REMEDY))?,
+            None,
+        ));
+    }
+    json(&text).map_err(|what| Error::input(file, format!("cannot be used ({what})"), REMEDY))
 }
 
 /// The tracker of frames with times.
@@ -315,7 +329,8 @@ fn json(text: &str) -> std::result::Result<(Vec<Frame>, Option<Lens>), String> {
 }
 
 impl Frame {
-    fn orientation(&self) -> Option<DQuat> {
+    /// How it says the camera was turned: camera frame to the world.
+    pub(super) fn orientation(&self) -> Option<DQuat> {
         if let (Some(w), Some(x), Some(y), Some(z)) = (self.qw, self.qx, self.qy, self.qz) {
             let turn = DQuat::from_xyzw(x, y, z, w);
             let length = turn.length();

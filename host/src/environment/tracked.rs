@@ -16,8 +16,8 @@ mod pairs;
 pub(super) use pairs::Pair;
 
 /// What is known of a camera's delay before, seconds, and if the user states it.
-const DELAY_SIGMA_S: f64 = 0.1;
-const STATED_DELAY_SIGMA_S: f64 = 0.002;
+pub(super) const DELAY_SIGMA_S: f64 = 0.1;
+pub(super) const STATED_DELAY_SIGMA_S: f64 = 0.002;
 /// What is known of how the receiver sits on the camera, about each axis, radians, and if the user states it.
 const MOUNT_SIGMA_RAD: f64 = 0.09;
 const STATED_MOUNT_SIGMA_RAD: f64 = 0.004;

@@ -1,18 +1,22 @@
 //! New photographs of a part of the room bring its map up to date.
 //!
-//! How the light has changed is told by what both show, one factor for each colour (the AR report's section 8.5); where that is no more than
-//! its own doubt or a threshold, the map stays as it is.
+//! How the light has changed is told by what both show, one factor for each colour (the AR report's section 8.5), and for each lamp that differs; where
+//! that is no more than its own doubt or a threshold, the map stays as it is.
 
-use glam::{DQuat, DVec3};
-use nalgebra::{Matrix4, Vector4};
-use rayon::prelude::*;
+mod lamps;
+mod turn;
+
+use glam::DQuat;
 
 use super::EnvironmentMap;
-use super::lattice::evenly;
+use super::map::Unit;
 use super::mosaic::{Mosaic, Options, mosaic};
 use super::shots::Shots;
 use crate::progress::Progress;
 use crate::{Error, Result};
+pub use lamps::Lamp;
+use lamps::Lamps;
+use turn::{Turn, turn_to};
 
 /// Rows of the cells in which maps are compared, 2 degrees each.
 const ROWS: usize = 90;
@@ -22,21 +26,21 @@ const FEWEST: usize = 20;
 const CHANGED: f64 = 1.25;
 /// A change counts from so many standard deviations on.
 const SIGMAS: f64 = 3.0;
+/// Lamps are looked for no farther around than photographs can be off for, radians.
+const UNSURE_RAD: f64 = 0.035;
 /// Neighbouring cells show the same things: so many are one observation.
 const ALIKE: f64 = 4.0;
-/// Directions by which new photographs are turned to the map, and the furthest that they are.
-const DIRECTIONS: usize = 20_000;
-const FURTHEST_RAD: f64 = 0.1;
 
 /// What new photographs have changed.
 pub struct Updated {
     /// The map as it is now.
     pub map: EnvironmentMap,
-    /// Red, green and blue of the light now, over that of before.
+    /// Red, green and blue of the light now, over that of before, lamps aside.
     pub factor: [f64; 3],
     /// How sure that is, relative standard deviation.
     pub sigma: [f64; 3],
-    /// Whether the light has changed by more than the threshold and three sigmas: then the whole map was multiplied by `factor`.
+    /// Whether the light has changed by more than the threshold and three sigmas: then the map, but for lamps with a factor of their own, was multiplied by
+    /// `factor`.
     pub is_changed: bool,
     /// The part of the sphere that both show.
     pub overlap: f64,
@@ -44,19 +48,25 @@ pub struct Updated {
     pub replaced: f64,
     /// The part that was not seen or was a lower bound before, and is measured now.
     pub gained: f64,
+    /// What has become of each lamp of the map.
+    pub lamps: Vec<Lamp>,
     /// How far the new photographs were turned to fit the map, radians.
     pub turned_rad: f64,
+    /// How sure that is, about the axis of which it is least known, radians; `None` where they were taken as they are, because of the options or, which a
+    /// note then says, because they do not tell.
+    pub turned_sigma_rad: Option<f64>,
     /// The new photographs' own map.
     pub new: Mosaic,
 }
 
 /// Brings a map up to date with photographs whose exposures are stated, as those of the map were, by the same camera. `options` says how
-/// they become a map; its size is the map's. The light has changed where a factor differs from 1 by more than `threshold` and
-/// three sigmas in some colour. What was different by itself is replaced, what was unknown is added, and where nothing of this is so,
-/// nothing is changed at all.
+/// they become a map; its size is the map's, whose unit must be that of the photographs. The light has changed where a factor differs from 1 by more than
+/// `threshold` and three sigmas in some colour; a lamp that differs so from the rest has its own factor. What was different by itself is
+/// replaced, what was unknown is added, and where nothing of this is so, nothing is changed at all.
 ///
 /// # Errors
-/// What [`mosaic`] reports; [`Error::Request`] for photographs without stated exposures, or that show next to nothing of what the map shows.
+/// What [`mosaic`] reports; [`Error::Request`] for photographs without stated exposures, for a map in another unit, or one whose unit nothing tells,
+/// for photographs that show next to nothing of what the map shows, or fit it only far from where they should.
 pub fn update(
     map: &EnvironmentMap,
     shots: &Shots,
@@ -70,18 +80,34 @@ pub fn update(
             "state exposure_s of all photographs: without it a darker room and a shorter exposure look alike",
         ));
     }
+    if map.unit != shots.unit || map.unit == Unit::Unknown {
+        return Err(Error::request(
+            format!(
+                "the map is in {}, what these photographs make in {}",
+                map.unit.words(),
+                shots.unit.words()
+            ),
+            "make the map of photographs that state their exposures in the same way, or say --same-unit if you know better",
+        ));
+    }
     let options = Options { size: map.size, fill: false, ..options.clone() };
     let mut new = mosaic(shots, &options, progress)?;
-    let mut turned_rad = 0.0;
+    let mut turned = Turn { turn: DQuat::IDENTITY, sigma_rad: None };
     if options.refine {
-        let turn = turn_to(map, &new.map);
-        turned_rad = turn.to_scaled_axis().length();
-        if turned_rad > 0.25 * std::f64::consts::PI / map.size.height() as f64 {
+        turned = turn_to(map, &new.map)?;
+        if turned.sigma_rad.is_none() {
+            new.notes.push(
+                "how the photographs are turned beside the map cannot be told (they share too little with it, or what they share is even): their own \
+                 orientations stand"
+                    .into(),
+            );
+        }
+        if turned.turn.to_scaled_axis().length() > 0.25 * std::f64::consts::PI / map.size.height() as f64 {
             let turned = shots.shots.iter().zip(&new.placed).map(|(shot, placed)| super::Shot {
-                world_from_camera: turn * placed.world_from_camera,
+                world_from_camera: turned.turn * placed.world_from_camera,
                 ..shot.clone()
             });
-            let turned = Shots { shots: turned.collect(), lens: shots.lens, tracker: None };
+            let turned = Shots { shots: turned.collect(), tracker: None, ..shots.clone() };
             let again = Options { refine: false, lens: Some(new.lens), field_of_view_rad: None, ..options };
             let placed = mosaic(&turned, &again, progress)?;
             new = Mosaic { notes: new.notes, tracker: new.tracker, ..placed };
@@ -90,7 +116,7 @@ pub fn update(
     // All gains together may be off by what the stated exposures are.
     let count = new.placed.len().max(1) as f64;
     let scale_sigma = (new.placed.iter().map(|placed| placed.gain_sigma.powi(2)).sum::<f64>() / count).sqrt();
-    compare(map, new, threshold, (scale_sigma, turned_rad))
+    compare(map, new, threshold, (scale_sigma, turned))
 }
 
 /// What both measured of a cell: sums of solid angle times radiance.
@@ -105,7 +131,7 @@ fn compare(
     map: &EnvironmentMap,
     new: Mosaic,
     threshold: f64,
-    (scale_sigma, turned_rad): (f64, f64),
+    (scale_sigma, turned): (f64, Turn),
 ) -> Result<Updated> {
     let (size, now) = (map.size, &new.map);
     let flag = |map: &EnvironmentMap, i: usize| map.flags.get(i).copied().unwrap_or(0);
@@ -113,20 +139,31 @@ fn compare(
         let (column, row) = (i % size.width(), i / size.width());
         row * ROWS / size.height() * 2 * ROWS + column * 2 * ROWS / size.width()
     };
-    let mut cells = vec![Cell::default(); 2 * ROWS * ROWS];
-    for i in (0..size.count()).filter(|&i| flag(map, i) == 0 && flag(now, i) == 0) {
-        let (cell, angle) = (&mut cells[cell_of(i)], size.solid_angle(i / size.width()));
-        cell.angle += angle;
-        (0..3).for_each(|c| cell.before[c] += angle * f64::from(map.radiance[i][c]));
-        (0..3).for_each(|c| cell.after[c] += angle * f64::from(now.radiance[i][c]));
-    }
-    let sphere = 4.0 * std::f64::consts::PI;
-    let overlap = cells.iter().map(|cell| cell.angle).sum::<f64>() / sphere;
-    let ratio = |cell: &Cell| {
-        let logs = [0, 1, 2].map(|c| (cell.after[c] / cell.before[c]).ln());
-        logs.iter().all(|log| log.is_finite()).then_some(logs)
+    // As sure as the photographs' own orientations where nothing else tells.
+    let own_rad = new.placed.iter().map(|placed| placed.sigma_rad).fold(0.0, f64::max);
+    let unsure_rad = turned.sigma_rad.unwrap_or(own_rad).min(UNSURE_RAD);
+    let lamps = Lamps::of(map, unsure_rad);
+    let cells_of = |map: &EnvironmentMap, which: &dyn Fn(usize) -> bool| {
+        let mut cells = vec![Cell::default(); 2 * ROWS * ROWS];
+        for i in (0..size.count()).filter(|&i| flag(map, i) == 0 && flag(now, i) == 0 && which(i)) {
+            let (cell, angle) = (&mut cells[cell_of(i)], size.solid_angle(i / size.width()));
+            cell.angle += angle;
+            (0..3).for_each(|c| cell.before[c] += angle * f64::from(map.radiance[i][c]));
+            (0..3).for_each(|c| cell.after[c] += angle * f64::from(now.radiance[i][c]));
+        }
+        cells
     };
-    let ratios: Vec<Option<[f64; 3]>> = cells.iter().map(ratio).collect();
+    let ratios_of = |cells: &[Cell]| -> Vec<Option<[f64; 3]>> {
+        let ratio = |cell: &Cell| {
+            let logs = [0, 1, 2].map(|c| (cell.after[c] / cell.before[c]).ln());
+            logs.iter().all(|log| log.is_finite()).then_some(logs)
+        };
+        cells.iter().map(ratio).collect()
+    };
+    let sphere = 4.0 * std::f64::consts::PI;
+    let overlap = cells_of(map, &|_| true).iter().map(|cell| cell.angle).sum::<f64>() / sphere;
+    let cells = cells_of(map, &|i| !lamps.is_near(i));
+    let ratios = ratios_of(&cells);
     let known: Vec<usize> = (0..cells.len()).filter(|&i| ratios[i].is_some()).collect();
     if known.len() < FEWEST {
         return Err(Error::request(
@@ -151,22 +188,18 @@ fn compare(
     let sigma = spread.map(|spread| scale_sigma.hypot(1.2533 * spread / (known.len() as f64 / ALIKE).sqrt()));
     let is_changed = (0..3).any(|c| logs[c].abs() > (1.0 + threshold).ln().max(SIGMAS * sigma[c]));
     let factor = logs.map(f64::exp);
-    let by = if is_changed { logs } else { [0.0; 3] };
+    let rest = if is_changed { factor } else { [1.0; 3] };
+    let told = lamps.compared((map, now), (rest, sigma), (scale_sigma, unsure_rad, threshold));
+    let mut out = map.clone();
+    lamps.multiply(&mut out, rest, &told);
     // Each colour by itself is noisier than what all of them say.
-    let is_other: Vec<bool> = (0..cells.len())
-        .map(|i| {
-            let off = |c: usize| (of(i, c) - by[c]).abs();
+    let is_other: Vec<bool> = ratios_of(&cells_of(&out, &|_| true))
+        .into_iter()
+        .map(|ratio| {
             let limit = |c: usize| CHANGED.max(1.0 + threshold).ln().max(SIGMAS * spread[c]);
-            ratios[i].is_some() && (0..3).any(|c| off(c) > limit(c))
+            ratio.is_some_and(|ratio| (0..3).any(|c| ratio[c].abs() > limit(c)))
         })
         .collect();
-    let mut out = map.clone();
-    let factors = by.map(|log| log.exp() as f32);
-    if is_changed {
-        out.radiance.iter_mut().for_each(|pixel| (0..3).for_each(|c| pixel[c] *= factors[c]));
-        let mean = (factors.iter().sum::<f32>() / 3.0).powi(2);
-        out.variance.iter_mut().for_each(|variance| *variance *= mean);
-    }
     let (mut replaced, mut gained) = (0.0, 0.0);
     let sum = |pixel: [f32; 3]| f64::from(pixel.iter().sum::<f32>());
     for i in 0..size.count() {
@@ -196,102 +229,17 @@ fn compare(
         out.flags.resize(size.count(), 0);
         out.flags[i] = flag(now, i);
     }
-    Ok(Updated { map: out, factor, sigma, is_changed, overlap, replaced, gained, turned_rad, new })
-}
-
-/// The turn that brings a new map to an old one, by the logarithm of their brightness, from coarse to fine.
-fn turn_to(map: &EnvironmentMap, new: &EnvironmentMap) -> DQuat {
-    let mut turn = DQuat::IDENTITY;
-    let finest = map.size.height();
-    for rows in
-        [64, 128, 256, 512, 1024].into_iter().filter(|rows| *rows <= finest && finest.is_multiple_of(*rows))
-    {
-        let (old, now) = (Small::new(map, rows), Small::new(new, rows));
-        let step = std::f64::consts::PI / rows as f64;
-        for _ in 0..8 {
-            let sums = (0..DIRECTIONS)
-                .into_par_iter()
-                .filter_map(|i| {
-                    let direction = evenly(i, DIRECTIONS);
-                    let here = now.at(direction)?;
-                    let to = turn * direction;
-                    let mut row = Vector4::new(0.0, 0.0, 0.0, 1.0);
-                    for (k, axis) in [DVec3::X, DVec3::Y, DVec3::Z].into_iter().enumerate() {
-                        let moved = step * axis.cross(to);
-                        row[k] = (old.at(to + moved)? - old.at(to - moved)?) / (2.0 * step);
-                    }
-                    Some((row, here - old.at(to)?))
-                })
-                .collect::<Vec<_>>();
-            // What all differ by is the light.
-            let mut differences: Vec<f64> = sums.iter().map(|(_, difference)| *difference).collect();
-            if differences.len() < 100 {
-                return turn;
-            }
-            differences.sort_by(f64::total_cmp);
-            let middle = differences[differences.len() / 2];
-            let quartile = |part: f64| differences[(part * (differences.len() - 1) as f64) as usize];
-            let scale = (quartile(0.75) - quartile(0.25)).max(1e-4);
-            let (mut normal, mut right) = (Matrix4::zeros(), Vector4::zeros());
-            for (row, difference) in &sums {
-                let off = (difference - middle) / scale;
-                let weight = 1.0 / (1.0 + off * off);
-                normal += weight * row * row.transpose();
-                right += weight * (difference - middle) * row;
-            }
-            // An even wall tells nothing, and nothing is turned.
-            (0..3).for_each(|k| normal[(k, k)] += 1e-3 * sums.len() as f64);
-            let Some(found) = normal.cholesky().map(|cholesky| cholesky.solve(&right)) else { return turn };
-            let by = DVec3::new(found[0], found[1], found[2]);
-            turn = (DQuat::from_scaled_axis(by) * turn).normalize();
-            if turn.to_scaled_axis().length() > FURTHEST_RAD {
-                return DQuat::IDENTITY;
-            }
-            if by.length() < 0.01 * step {
-                break;
-            }
-        }
-    }
-    turn
-}
-
-/// Logarithms of the brightness of blocks of a map.
-struct Small {
-    map: EnvironmentMap,
-}
-
-impl Small {
-    fn new(map: &EnvironmentMap, rows: usize) -> Self {
-        let by = (map.size.height() / rows).max(1);
-        let size = crate::geometry::LatLong::new(
-            (2 * map.size.height() / by) as u32,
-            (map.size.height() / by) as u32,
-        )
-        .unwrap_or(map.size);
-        let block = |number: usize| {
-            let (left, top) = (number % size.width() * by, number / size.width() * by);
-            let (mut sum, mut known) = (0.0, 0);
-            for k in 0..by * by {
-                let at = (top + k / by) * map.size.width() + left + k % by;
-                let brightness = map.radiance[at].iter().sum::<f32>();
-                if map.flags.get(at).is_none_or(|flag| *flag == 0) && brightness > 0.0 {
-                    sum += brightness;
-                    known += 1;
-                }
-            }
-            // More than half of it.
-            if 2 * known > by * by {
-                ([(sum / known as f32).ln(), 0.0, 0.0], 0)
-            } else {
-                ([0.0; 3], EnvironmentMap::UNSEEN)
-            }
-        };
-        let (radiance, flags) = (0..size.count()).into_par_iter().map(block).unzip();
-        Self { map: EnvironmentMap { size, radiance, variance: vec![], coverage: vec![], flags } }
-    }
-
-    fn at(&self, direction: DVec3) -> Option<f64> {
-        let (value, known, _) = self.map.toward(direction);
-        (known > 0.999).then_some(value[0])
-    }
+    Ok(Updated {
+        map: out,
+        factor,
+        sigma,
+        is_changed,
+        lamps: told,
+        overlap,
+        replaced,
+        gained,
+        turned_rad: turned.turn.to_scaled_axis().length(),
+        turned_sigma_rad: turned.sigma_rad,
+        new,
+    })
 }

@@ -9,7 +9,7 @@ use super::charts::Charts;
 use super::model::Model;
 use super::tree::Tree;
 use crate::environment::lattice::evenly;
-use crate::environment::{EnvironmentMap, Flag};
+use crate::environment::{EnvironmentMap, Flag, Unit};
 use crate::progress::Progress;
 use crate::{Error, Result};
 
@@ -47,6 +47,8 @@ pub struct Room {
     pub radiance: Vec<[f32; 3]>,
     /// [`EnvironmentMap`]'s flags, and [`Room::NO_SURFACE`], [`Room::BEHIND`] and [`Room::CONTRARY`].
     pub flags: Vec<Flag>,
+    /// What the radiance is counted in: the first map's unit, whose scale the others take.
+    pub unit: Unit,
     /// What the user should know, a sentence each.
     pub notes: Vec<String>,
     pub(super) tree: Tree,
@@ -92,7 +94,7 @@ impl Room {
             })
             .collect::<Result<_>>()?;
         let (radiance, flags) = rows.into_iter().flatten().unzip();
-        Ok(EnvironmentMap { size, radiance, variance: vec![], coverage: vec![], flags })
+        Ok(EnvironmentMap { size, radiance, variance: vec![], coverage: vec![], flags, unit: self.unit })
     }
 
     /// The radiance at a place of a face, between the texels that show this face and are known.
@@ -211,6 +213,7 @@ pub fn texture(model: Model, captures: &[Capture], size: u32, progress: &dyn Pro
         charts,
         radiance: vec![[0.0; 3]; count],
         flags: vec![Room::NO_SURFACE; count],
+        unit: captures[0].map.unit,
         notes,
         tree,
     };

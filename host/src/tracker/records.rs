@@ -74,15 +74,15 @@ impl Track {
     }
 }
 
-struct Record {
-    line: usize,
-    time_s: f64,
-    station: u8,
-    turn: DQuat,
+pub(super) struct Record {
+    pub line: usize,
+    pub time_s: f64,
+    pub station: u8,
+    pub turn: DQuat,
 }
 
 /// A line's number and what is wrong with it.
-type Wrong = (usize, String);
+pub(super) type Wrong = (usize, String);
 
 fn record(
     line: usize,
@@ -101,7 +101,8 @@ fn record(
     Ok(Record { line, time_s, station, turn: turn.normalize() })
 }
 
-fn lines(text: &str) -> std::result::Result<Vec<Record>, Wrong> {
+/// The records of the lines that a capture wrote.
+pub(super) fn lines(text: &str) -> std::result::Result<Vec<Record>, Wrong> {
     let all = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
     all.map(|(i, line)| {
         let line: Line =

@@ -91,6 +91,7 @@ fn every_file_says_what_it_is_and_maps_have_a_picture() {
         variance: vec![],
         coverage: vec![],
         flags: vec![0; 128],
+        unit: Default::default(),
     }
     .write(&at("room.exr"))
     .unwrap();

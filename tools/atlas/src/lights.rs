@@ -97,5 +97,12 @@ fn room() -> Result<EnvironmentMap> {
         lamp.map_or_else(|| tint.map(|tint| (0.6 + 0.3 * d.y + tint + mottled) as f32), |(_, _, own)| *own)
     };
     let radiance = (0..size.count()).map(radiance).collect();
-    Ok(EnvironmentMap { size, radiance, variance: vec![], coverage: vec![], flags: vec![] })
+    Ok(EnvironmentMap {
+        size,
+        radiance,
+        variance: vec![],
+        coverage: vec![],
+        flags: vec![],
+        unit: Default::default(),
+    })
 }

@@ -59,6 +59,28 @@ pub struct Mosaic {
     /// Write a PNG beside the map, for a look
     #[arg(long)]
     pub png: bool,
+    /// Follow the folder while it fills: tell after each photograph what was seen and where to point next, and refresh MAP-coverage.png; begin the
+    /// map when everything wanted was seen, or at Ctrl-C
+    #[arg(long)]
+    pub live: bool,
+    /// With --live: record the tracker at this rig (a port, or simulated) in the folder's tracker.jsonl meanwhile
+    #[arg(long, requires = "live", value_name = "PORT", conflicts_with = "tracker")]
+    pub rig: Option<String>,
+    /// With --live: what lies below this elevation need not be seen, degrees above the horizon
+    #[arg(long = "lowest", requires = "live", value_name = "DEGREES", default_value_t = -90.0, allow_negative_numbers = true)]
+    pub lowest_deg: f64,
+    /// With --live: what lies above this elevation need not be seen
+    #[arg(
+        long = "highest",
+        requires = "live",
+        value_name = "DEGREES",
+        default_value_t = 90.0,
+        allow_negative_numbers = true
+    )]
+    pub highest_deg: f64,
+    /// With --live: how much of the next photograph shows what was seen already
+    #[arg(long, requires = "live", default_value = "30%", value_parser = parse_part)]
+    pub overlap: f64,
     /// Replace the map that is there
     #[arg(long)]
     pub force: bool,
@@ -73,7 +95,10 @@ pub struct Update {
     /// The map as it is now
     #[arg(long)]
     pub out: PathBuf,
-    /// A change of the light counts from this part on, and from three standard deviations on
+    /// The map is in the unit of these photographs, though it does not say so
+    #[arg(long)]
+    pub same_unit: bool,
+    /// A change of the light, or of a lamp beside it, counts from this part on, and from three standard deviations on
     #[arg(long, default_value = "2%", value_parser = parse_part)]
     pub threshold: f64,
     #[command(flatten)]

@@ -11,6 +11,7 @@ use rigel::{Error, Result};
 use crate::arguments::{Mosaic, Photographs};
 use crate::progress::Bar;
 use crate::say::say;
+use crate::verbs::live::turn;
 use crate::verbs::{require_extension, require_place};
 
 /// The widest PNG.
@@ -18,7 +19,6 @@ const LOOK: u32 = 2048;
 
 /// `rigel mosaic`.
 pub fn mosaic(arguments: &Mosaic) -> Result<()> {
-    let bar = Bar::new("mosaic");
     require_extension(&arguments.out, "exr")?;
     require_place(&arguments.out, arguments.force)?;
     let size = LatLong::new(arguments.size.columns, arguments.size.rows)?;
@@ -39,6 +39,10 @@ pub fn mosaic(arguments: &Mosaic) -> Result<()> {
         delay_s: arguments.delay_s,
         mount: arguments.mount,
     };
+    if arguments.live {
+        turn(arguments, &tracking, size)?;
+    }
+    let bar = Bar::new("mosaic");
     let shots = Shots::read_tracked(&arguments.shots, &tracking)?;
     if shots.tracker.is_none() && tracking != Tracking::default() {
         return Err(Error::input(
@@ -50,7 +54,8 @@ pub fn mosaic(arguments: &Mosaic) -> Result<()> {
     for place in [Some(&arguments.out), picture.as_ref()].into_iter().flatten() {
         require_no_photograph(place, &shots)?;
     }
-    let options = Options { fill: arguments.fill, ..arguments.photographs.options(&shots, size)? };
+    let options =
+        Options { fill: arguments.fill, ..arguments.photographs.options(&shots.shots[0].path, size)? };
     let made = make(&shots, &options, &bar).map_err(|error| error.about(&arguments.shots))?;
     if made.placed.iter().any(|placed| placed.matched > 0) {
         say!(
@@ -116,12 +121,12 @@ impl Photographs {
         ))
     }
 
-    /// The same as options of a map of this size.
-    pub(super) fn options(&self, shots: &Shots, size: LatLong) -> Result<Options> {
+    /// The same as options of a map of this size, of photographs as large as the first one.
+    pub(super) fn options(&self, first: &Path, size: LatLong) -> Result<Options> {
         let lens = match &self.lens {
             None => None,
             Some(path) => {
-                let first = Picture::read(&shots.shots[0].path)?;
+                let first = Picture::read(first)?;
                 Some(Calibration::read(path, 0.0)?.lens(first.width, first.height))
             }
         };

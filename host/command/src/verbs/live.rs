@@ -1,0 +1,181 @@
+//! `rigel mosaic --live`: while one turns, what was seen and where to point next.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use glam::DVec3;
+use rigel::capture::TrackerLog;
+use rigel::environment::{Coverage, Live, MEMORY_S, Next, Place, Pointing, Tracking, Wanted};
+use rigel::geometry::LatLong;
+use rigel::rig::{Format, Output, Tracking as Receivers};
+use rigel::{Error, Result};
+
+use crate::arguments::Mosaic;
+use crate::bench::greet_named;
+use crate::progress::{Line, interrupted, take_interrupt};
+use crate::say::{count_of, say};
+use crate::verbs::require_place;
+
+/// How often the folder is looked into.
+const LOOK: Duration = Duration::from_millis(150);
+/// Records per second of a tracker with one receiver.
+const USUAL_S: f64 = 1.0 / 60.0;
+
+/// The picture of what was seen, beside the map.
+fn picture_of(arguments: &Mosaic) -> PathBuf {
+    let name = arguments.out.file_stem().unwrap_or_default().to_string_lossy();
+    arguments.out.with_file_name(format!("{name}-coverage.png"))
+}
+
+/// Follows the folder until everything wanted was seen, or Ctrl-C.
+pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Result<()> {
+    let folder = &arguments.shots;
+    if !folder.is_dir() {
+        return Err(Error::input(
+            folder,
+            "is no folder that could fill",
+            "name the folder in which photographs arrive",
+        ));
+    }
+    let picture = picture_of(arguments);
+    let place = |path: &Path| path.canonicalize().ok();
+    if place(picture.parent().filter(|parent| *parent != Path::new("")).unwrap_or(Path::new(".")))
+        == place(folder)
+    {
+        return Err(Error::input(
+            &arguments.out,
+            "would be taken for a photograph, as the folder is watched",
+            "name a map in another folder",
+        ));
+    }
+    require_place(&picture, true)?;
+    let wanted = Wanted {
+        lowest_rad: arguments.lowest_deg.to_radians(),
+        highest_rad: arguments.highest_deg.to_radians(),
+        overlap: arguments.overlap,
+    };
+    // Before a rig is bothered.
+    wanted.require()?;
+    let mut rig = arguments.rig.as_deref().map(greet_named).transpose()?;
+    let mut log = None;
+    if let Some((rig, _)) = &mut rig {
+        let records = rig.records();
+        let stations = arguments.receiver.unwrap_or(1);
+        rig.track(Receivers { stations, format: Format::Binary, output: Output::Quaternion })?;
+        log = Some(TrackerLog::start(records, folder)?);
+    }
+    let options = |first: &Path| arguments.photographs.options(first, size);
+    let mut live = Live::open(folder, tracking, wanted, options)?;
+    say!("orientations: {}", live.source());
+    if let Some(filter) = live.filter() {
+        say!(
+            "tracker, live: no delay at an even speed; behind by {:.4} s² times the angular acceleration where the speed changes; jitter falls to {:.0} % \
+             (memory {:.0} ms, {:.0} records per second){}",
+            filter.lag_s2(USUAL_S),
+            100.0 * filter.noise_factor(USUAL_S),
+            1e3 * MEMORY_S,
+            1.0 / USUAL_S,
+            match (tracking.delay_s, tracking.mount) {
+                (Some(_), Some(_)) => "",
+                _ =>
+                    "; without --delay and --mount the receiver is taken to sit straight and photographs to be as old as their files: the map's own adjustment knows better",
+            }
+        );
+    }
+    say!("waiting for photographs in {}; Ctrl-C ends the turning and begins the map", folder.display());
+    let line = Line::new();
+    let mut next: Option<Next> = None;
+    let mut looked = Instant::now();
+    let is_whole = loop {
+        if let Some(log) = &mut log {
+            log.check()?;
+        }
+        let arrivals = live.look()?;
+        let last = arrivals.iter().rposition(|arrival| arrival.place.is_ok());
+        for (i, arrival) in arrivals.into_iter().enumerate() {
+            let words = match (arrival.place, live.coverage()) {
+                (Ok(place), Some(coverage)) if Some(i) == last => {
+                    next = coverage.next();
+                    coverage.write_png(&picture, next.as_ref())?;
+                    format!("{}; {}", told(&place), ahead(coverage, next.as_ref()))
+                }
+                (Ok(place), _) => told(&place),
+                (Err(why), _) => why,
+            };
+            line.aside(|| say!("{}: {words}", arrival.name));
+        }
+        if let (Some(now), Some(next)) = (live.pointing(), &next) {
+            line.show(&format!("{}: {}", pointed(now), way(now, next)));
+        }
+        if live.count() > 0 && next.is_none() {
+            break true;
+        }
+        if interrupted() {
+            break false;
+        }
+        // What is due is looked at at even intervals.
+        std::thread::sleep(LOOK.saturating_sub(looked.elapsed()));
+        looked = Instant::now();
+    };
+    line.end();
+    take_interrupt();
+    if let Some(log) = log {
+        say!("{} of the tracker", count_of(log.finish()? as usize, "record"));
+    }
+    let count = live.count();
+    let seen = live.coverage().map_or((0.0, 0.0), Coverage::seen);
+    for note in live.finish()? {
+        say!("note: {note}");
+    }
+    say!(
+        "{}: {} with {:.1} % of the sphere, {:.1} % of what is wanted; {} shows it; now the map",
+        if is_whole { "everything wanted was seen" } else { "ended by Ctrl-C" },
+        count_of(count, "photograph"),
+        100.0 * seen.0,
+        100.0 * seen.1,
+        picture.display()
+    );
+    Ok(())
+}
+
+/// Where a photograph was pointed.
+fn told(place: &Place) -> String {
+    let sigma = place.sigma_rad.map_or(String::new(), |sigma| format!(" ± {:.1}", sigma.to_degrees()));
+    format!(
+        "{}{sigma}, {:.1} % of the sphere new",
+        pointed(Pointing::of(place.turn * DVec3::Z)),
+        100.0 * place.gained
+    )
+}
+
+/// What is seen by now, and where to go.
+fn ahead(coverage: &Coverage, next: Option<&Next>) -> String {
+    let (seen, wanted) = coverage.seen();
+    format!(
+        "{:.1} % seen, {:.1} % of what is wanted; {}",
+        100.0 * seen,
+        100.0 * wanted,
+        next.map_or("nothing is left".into(), |next| format!(
+            "next {}: {} ({:.1} % new, {:.0} % overlap)",
+            pointed(next.pointing),
+            way(coverage.last(), next),
+            100.0 * next.gain,
+            100.0 * next.overlap
+        ))
+    )
+}
+
+fn pointed(pointing: Pointing) -> String {
+    // No minus before 0.
+    let degrees = |angle: f64| angle.to_degrees().round() + 0.0;
+    format!("azimuth {:.0}, elevation {:.0}", degrees(pointing.azimuth_rad), degrees(pointing.elevation_rad))
+}
+
+/// In words of somebody who turns.
+fn way(from: Pointing, next: &Next) -> String {
+    let (right, up) = from.to(next.pointing);
+    let (right, up) = (right.to_degrees().round(), up.to_degrees().round());
+    let side = if right < 0.0 { "left" } else { "right" };
+    let height = if up < 0.0 { "down" } else { "up" };
+    format!("turn {side} {:.0} degrees, {height} {:.0}", right.abs(), up.abs())
+}

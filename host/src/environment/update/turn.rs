@@ -1,0 +1,157 @@
+//! How new photographs are turned beside an old map.
+
+use glam::{DQuat, DVec3};
+use nalgebra::{Matrix3, Matrix4, Vector4};
+use rayon::prelude::*;
+
+use crate::environment::EnvironmentMap;
+use crate::environment::lattice::evenly;
+use crate::geometry::LatLong;
+use crate::{Error, Result};
+
+/// Directions by which new photographs are turned to the map, and the furthest that they are.
+const DIRECTIONS: usize = 20_000;
+const FURTHEST_RAD: f64 = 0.1;
+/// Fewer directions that both show tell nothing.
+const FEWEST: usize = 100;
+/// Slopes of the brightness's logarithm, squared and per direction, that keep an even wall from turning anything; what shows less than three
+/// times as much tells nothing.
+const EVEN: f64 = 1e-3;
+/// Neighbouring directions show the same things: so many are one observation, and more where they lie closer than the map's blocks.
+const ALIKE: f64 = 4.0;
+/// No block is placed better than to this part of it.
+const PART: f64 = 0.1;
+
+/// The turn that brings new photographs to the map.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Turn {
+    pub turn: DQuat,
+    /// About the axis of which it is least known, radians; `None` where the two show too little in common to tell it.
+    pub sigma_rad: Option<f64>,
+}
+
+/// The turn that brings a new map to an old one, by the logarithm of their brightness, from coarse to fine.
+///
+/// # Errors
+/// [`Error::Request`] where it is farther than anything near.
+pub(super) fn turn_to(map: &EnvironmentMap, new: &EnvironmentMap) -> Result<Turn> {
+    let mut found = Turn { turn: DQuat::IDENTITY, sigma_rad: None };
+    let finest = map.size.height();
+    for rows in
+        [64, 128, 256, 512, 1024].into_iter().filter(|rows| *rows <= finest && finest.is_multiple_of(*rows))
+    {
+        let (old, now) = (Small::new(map, rows), Small::new(new, rows));
+        let step = std::f64::consts::PI / rows as f64;
+        for _ in 0..8 {
+            let Some((by, sigma_rad)) = closer(&old, &now, found.turn, step) else { return Ok(found) };
+            if sigma_rad.is_none() {
+                return Ok(Turn { turn: DQuat::IDENTITY, sigma_rad });
+            }
+            found = Turn { turn: (DQuat::from_scaled_axis(by) * found.turn).normalize(), sigma_rad };
+            if found.turn.to_scaled_axis().length() > FURTHEST_RAD {
+                return Err(Error::request(
+                    format!(
+                        "the photographs fit the map nowhere within {:.1} degrees of where their orientations put them",
+                        FURTHEST_RAD.to_degrees()
+                    ),
+                    "check the orientations and the lens, or take both as they are with --no-refine",
+                ));
+            }
+            if by.length() < 0.01 * step {
+                break;
+            }
+        }
+    }
+    Ok(found)
+}
+
+/// A turn that brings them closer, and how sure it is; `None` where the two have too little in common.
+fn closer(old: &Small, now: &Small, turn: DQuat, step: f64) -> Option<(DVec3, Option<f64>)> {
+    let all = (0..DIRECTIONS)
+        .into_par_iter()
+        .filter_map(|i| {
+            let direction = evenly(i, DIRECTIONS);
+            let here = now.at(direction)?;
+            let to = turn * direction;
+            let mut row = Vector4::new(0.0, 0.0, 0.0, 1.0);
+            for (k, axis) in [DVec3::X, DVec3::Y, DVec3::Z].into_iter().enumerate() {
+                let moved = step * axis.cross(to);
+                row[k] = (old.at(to + moved)? - old.at(to - moved)?) / (2.0 * step);
+            }
+            Some((row, here - old.at(to)?))
+        })
+        .collect::<Vec<_>>();
+    if all.len() < FEWEST {
+        return None;
+    }
+    // What all differ by is the light.
+    let quartiles = |mut values: Vec<f64>| {
+        values.sort_by(f64::total_cmp);
+        [0.25, 0.5, 0.75].map(|part| values[(part * (values.len() - 1) as f64) as usize])
+    };
+    let [low, middle, high] = quartiles(all.iter().map(|(_, difference)| *difference).collect());
+    let scale = (high - low).max(1e-4);
+    let (mut normal, mut right) = (Matrix4::zeros(), Vector4::zeros());
+    for (row, difference) in &all {
+        let off = (difference - middle) / scale;
+        let weight = 1.0 / (1.0 + off * off);
+        normal += weight * row * row.transpose();
+        right += weight * (difference - middle) * row;
+    }
+    let count = all.len() as f64;
+    let told = normal;
+    (0..3).for_each(|k| normal[(k, k)] += EVEN * count);
+    let solved = normal.cholesky()?.solve(&right);
+    let [low, _, high] =
+        quartiles(all.iter().map(|(row, difference)| difference - middle - row.dot(&solved)).collect());
+    // The part of the turn that no change of all brightness could be.
+    let axes: Matrix3<f64> = told.fixed_view::<3, 3>(0, 0)
+        - told.fixed_view::<3, 1>(0, 3) * told.fixed_view::<1, 3>(3, 0) / told[(3, 3)];
+    let least = axes.symmetric_eigenvalues().min();
+    let spacing = (4.0 * std::f64::consts::PI / DIRECTIONS as f64).sqrt();
+    let alike = ALIKE * (1.0 + (step / spacing).powi(2));
+    let left = (high - low) / 1.349;
+    let sigma_rad = (left * (alike / least.max(f64::MIN_POSITIVE)).sqrt()).hypot(PART * step);
+    let is_told = least > 3.0 * EVEN * count;
+    Some((DVec3::new(solved[0], solved[1], solved[2]), is_told.then_some(sigma_rad)))
+}
+
+/// Logarithms of the brightness of blocks of a map.
+struct Small {
+    map: EnvironmentMap,
+}
+
+impl Small {
+    fn new(map: &EnvironmentMap, rows: usize) -> Self {
+        let by = (map.size.height() / rows).max(1);
+        let size = LatLong::new((2 * map.size.height() / by) as u32, (map.size.height() / by) as u32)
+            .unwrap_or(map.size);
+        let block = |number: usize| {
+            let (left, top) = (number % size.width() * by, number / size.width() * by);
+            let (mut sum, mut known) = (0.0, 0);
+            for k in 0..by * by {
+                let at = (top + k / by) * map.size.width() + left + k % by;
+                let brightness = map.radiance[at].iter().sum::<f32>();
+                if map.flags.get(at).is_none_or(|flag| *flag == 0) && brightness > 0.0 {
+                    sum += brightness;
+                    known += 1;
+                }
+            }
+            // More than half of it.
+            if 2 * known > by * by {
+                ([(sum / known as f32).ln(), 0.0, 0.0], 0)
+            } else {
+                ([0.0; 3], EnvironmentMap::UNSEEN)
+            }
+        };
+        let (radiance, flags) = (0..size.count()).into_par_iter().map(block).unzip();
+        Self {
+            map: EnvironmentMap { size, radiance, variance: vec![], coverage: vec![], flags, unit: map.unit },
+        }
+    }
+
+    fn at(&self, direction: DVec3) -> Option<f64> {
+        let (value, known, _) = self.map.toward(direction);
+        (known > 0.999).then_some(value[0])
+    }
+}

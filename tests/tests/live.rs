@@ -1,0 +1,214 @@
+//! A folder that fills while somebody turns: photographs find their places by a table, by the tracker, by what they show, and the map can be made of
+//! what was written.
+
+#![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
+
+use std::fs;
+use std::path::Path;
+use std::time::{Duration, UNIX_EPOCH};
+
+use glam::DQuat;
+use rigel::environment::{Arrival, Live, MergeOptions, Options, Place, Shots, Tracking, Wanted, mosaic};
+use rigel::geometry::{LatLong, Lens};
+use rigel::progress::Silent;
+use rigel_simulated::tour::{Tour, apart};
+
+const START_S: f64 = 1.7e9;
+
+fn tour() -> Tour {
+    Tour {
+        photographs: 24,
+        laps: 1.0,
+        lens: Lens::pinhole(240, 180, 180.0),
+        drift_rad: 0.0,
+        ..Tour::default()
+    }
+}
+
+fn options(tour: &Tour) -> Options {
+    Options {
+        lens: Some(tour.lens),
+        merge: MergeOptions { feather: 2, disagreement: Some(0.1) },
+        ..Options::new(LatLong::new(64, 32).unwrap())
+    }
+}
+
+/// Knows how the tracker's receiver sits and how late the camera is.
+fn tracking(tour: &Tour) -> Tracking {
+    Tracking { delay_s: Some(tour.delay_s), mount: Some(tour.mount), ..Tracking::default() }
+}
+
+fn photograph(i: usize) -> String {
+    format!("{i:03}.png")
+}
+
+/// Puts a photograph there as if it had been written when the tour says.
+fn put(from: &Path, to: &Path, i: usize, tour: &Tour) {
+    let place = to.join(photograph(i));
+    fs::copy(from.join(photograph(i)), &place).unwrap();
+    let time = UNIX_EPOCH + Duration::from_secs_f64(START_S + tour.times_s()[i]);
+    fs::File::options().write(true).open(place).unwrap().set_modified(time).unwrap();
+}
+
+/// The first lines of a session's file: those up to a time after its start, or so many.
+fn head(from: &Path, name: &str, keep: impl Fn(usize, &str) -> bool) -> String {
+    let text = fs::read_to_string(from.join(name)).unwrap();
+    text.lines().enumerate().filter(|(i, line)| keep(*i, line)).map(|(_, line)| format!("{line}\n")).collect()
+}
+
+fn records_until(from: &Path, time_s: f64) -> String {
+    let at_s = |line: &str| -> f64 { line[8..].split(',').next().unwrap().parse().unwrap() };
+    head(from, "tracker.jsonl", |_, line| at_s(line) <= START_S + time_s)
+}
+
+/// What has come, in three looks: only a table, and then a photograph, that has not grown since the last one counts.
+fn come(live: &mut Live) -> Vec<Arrival> {
+    let mut all = live.look().unwrap();
+    (0..2).for_each(|_| all.extend(live.look().unwrap()));
+    all
+}
+
+fn placed(arrivals: &[Arrival]) -> Vec<Place> {
+    arrivals.iter().map(|arrival| arrival.place.clone().unwrap()).collect()
+}
+
+fn rms_deg(turns: &[DQuat], truth: &[DQuat]) -> f64 {
+    let off = apart(turns, truth);
+    (off.iter().map(|off| off.length_squared()).sum::<f64>() / off.len() as f64).sqrt().to_degrees()
+}
+
+#[test]
+fn a_table_and_records_that_grow_place_every_photograph_as_it_comes() {
+    let tour = tour();
+    let (all, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (from, to) = (all.path(), folder.path());
+    tour.write(from).unwrap();
+    fs::write(to.join("frames.csv"), head(from, "frames.csv", |i, _| i == 0)).unwrap();
+    fs::write(to.join("tracker.jsonl"), "").unwrap();
+    let mut live = Live::open(to, &tracking(&tour), Wanted::default(), |_| Ok(options(&tour))).unwrap();
+    let (mut turns, mut seen, mut squares) = (vec![], 0.0, 0.0);
+    let truth = tour.truth();
+    for i in 0..tour.photographs {
+        put(from, to, i, &tour);
+        fs::write(to.join("frames.csv"), head(from, "frames.csv", |k, _| k <= i + 1)).unwrap();
+        // Nothing of what comes later is known.
+        fs::write(to.join("tracker.jsonl"), records_until(from, tour.times_s()[i] + 0.02)).unwrap();
+        let arrivals = come(&mut live);
+        assert_eq!(arrivals.len(), 1, "{i}: {arrivals:?}");
+        let place = placed(&arrivals)[0];
+        turns.push(place.turn);
+        seen += place.gained;
+        let off = truth[i].angle_between(place.turn);
+        squares += off * off / 3.0 / place.sigma_rad.unwrap().powi(2);
+    }
+    let (rms, score) = (rms_deg(&turns, &truth), (squares / tour.photographs as f64).sqrt());
+    println!("{rms:.2} degrees RMS, {score:.2} sigmas; {:.3} seen", live.coverage().unwrap().seen().0);
+    // Jitter of 0.75 degrees about each of three axes would be 1.3.
+    assert!(rms < 1.1, "{rms}");
+    assert!((0.4..1.6).contains(&score), "{score}");
+    assert!((live.coverage().unwrap().seen().0 - seen).abs() < 1e-9);
+    assert!(live.finish().unwrap().is_empty());
+}
+
+#[test]
+fn without_a_table_the_time_of_the_file_and_the_tracker_tell_and_the_map_follows() {
+    let tour = tour();
+    let (all, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (from, to) = (all.path(), folder.path());
+    tour.write(from).unwrap();
+    fs::write(to.join("tracker.jsonl"), records_until(from, 1e9)).unwrap();
+    // In any order: the order of time counts.
+    (0..tour.photographs).rev().for_each(|i| put(from, to, i, &tour));
+    let mut live = Live::open(to, &tracking(&tour), Wanted::default(), |_| Ok(options(&tour))).unwrap();
+    let arrivals = come(&mut live);
+    let turns: Vec<DQuat> = placed(&arrivals).iter().map(|place| place.turn).collect();
+    assert!(rms_deg(&turns, &tour.truth()) < 1.1);
+    assert!(live.finish().unwrap().is_empty());
+    let shots = Shots::read(to).unwrap();
+    let made = mosaic(&shots, &options(&tour), &Silent).unwrap();
+    let refined: Vec<DQuat> = made.placed.iter().map(|placed| placed.world_from_camera).collect();
+    let rms = rms_deg(&refined, &tour.truth());
+    println!("{rms:.3} degrees RMS");
+    assert!(rms < 0.1, "{rms}");
+}
+
+#[test]
+fn without_a_tracker_photographs_tell_their_own_places_and_late_ones_are_not_lost() {
+    let tour = tour();
+    let (all, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (from, to) = (all.path(), folder.path());
+    tour.write(from).unwrap();
+    let mut live = Live::open(to, &Tracking::default(), Wanted::default(), |_| Ok(options(&tour))).unwrap();
+    // One from far away comes too early, and finds its place when what lies between has come.
+    let order: Vec<usize> = [0, 12].into_iter().chain((1..tour.photographs).filter(|i| *i != 12)).collect();
+    let mut turns = vec![DQuat::IDENTITY; tour.photographs];
+    let mut unknown = 0;
+    for &i in &order {
+        put(from, to, i, &tour);
+        for arrival in come(&mut live) {
+            let number: usize = arrival.name[..3].parse().unwrap();
+            match arrival.place {
+                Ok(place) => turns[number] = place.turn,
+                Err(why) => {
+                    assert!(number == 12 && why.contains("too little"), "{number}: {why}");
+                    unknown += 1;
+                }
+            }
+        }
+    }
+    assert_eq!((unknown, live.count()), (1, tour.photographs));
+    let rms = rms_deg(&turns, &tour.truth());
+    println!("{rms:.2} degrees RMS");
+    assert!(rms < 1.5, "{rms}");
+    assert!(live.finish().unwrap().is_empty());
+    let made = mosaic(&Shots::read(to).unwrap(), &options(&tour), &Silent).unwrap();
+    let refined: Vec<DQuat> = made.placed.iter().map(|placed| placed.world_from_camera).collect();
+    assert!(rms_deg(&refined, &tour.truth()) < 0.1, "{}", rms_deg(&refined, &tour.truth()));
+}
+
+#[test]
+fn what_is_half_written_waits_and_what_is_no_photograph_is_named() {
+    let tour = Tour { photographs: 3, laps: 0.05, ..tour() };
+    let (all, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (from, to) = (all.path(), folder.path());
+    tour.write(from).unwrap();
+    let mut live = Live::open(to, &Tracking::default(), Wanted::default(), |_| Ok(options(&tour))).unwrap();
+    let bytes = fs::read(from.join("000.png")).unwrap();
+    fs::write(to.join("000.png"), &bytes[..bytes.len() / 2]).unwrap();
+    assert!(come(&mut live).is_empty());
+    fs::write(to.join("000.png"), &bytes).unwrap();
+    assert_eq!(placed(&come(&mut live)).len(), 1);
+    image::RgbImage::new(50, 40).save(to.join("small.png")).unwrap();
+    let arrivals = come(&mut live);
+    assert!(arrivals[0].place.clone().unwrap_err().contains("50x40"), "{arrivals:?}");
+    fs::write(to.join("torn.png"), &bytes[..bytes.len() / 2]).unwrap();
+    assert!(come(&mut live).is_empty());
+    std::thread::sleep(Duration::from_millis(3100));
+    let arrivals = come(&mut live);
+    assert!(
+        arrivals.len() == 1 && arrivals[0].place.clone().unwrap_err().contains("torn.png"),
+        "{arrivals:?}"
+    );
+}
+
+#[test]
+fn a_tracker_that_was_silent_places_nothing_and_says_so() {
+    let tour = Tour { photographs: 6, laps: 0.2, duration_s: 8.0, ..tour() };
+    let (all, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (from, to) = (all.path(), folder.path());
+    tour.write(from).unwrap();
+    fs::write(to.join("tracker.jsonl"), records_until(from, 4.0)).unwrap();
+    (0..tour.photographs).for_each(|i| put(from, to, i, &tour));
+    let mut live = Live::open(to, &tracking(&tour), Wanted::default(), |_| Ok(options(&tour))).unwrap();
+    let mut arrivals = come(&mut live);
+    // Records may still come.
+    assert_eq!(arrivals.len(), 3);
+    std::thread::sleep(Duration::from_millis(1100));
+    arrivals.extend(come(&mut live));
+    assert_eq!((arrivals.len(), live.count()), (6, 3));
+    assert!(arrivals[3..].iter().all(|arrival| arrival.place.clone().unwrap_err().contains("said nothing")));
+    let notes = live.finish().unwrap();
+    assert!(notes[0].contains("005.png"), "{notes:?}");
+    let table = fs::read_to_string(to.join("frames.csv")).unwrap();
+    assert!(table.contains("002.png") && !table.contains("003.png"), "{table}");
+}
