@@ -2,13 +2,11 @@
 
 use std::time::Instant;
 
-use glam::{DVec3, Vec3};
-
 use crate::Result;
 use crate::chart::{self, Axis, ChartPoint, Drawn, Series};
 use crate::evaluate::{Evaluation, Reference, evaluate};
 use crate::fit::{FitOptions, Model, candidates};
-use crate::observation::{ObservationMap, TexelObservations};
+use crate::observation::{Cut, ObservationMap, TexelObservations};
 use crate::parameter_map::{ParameterMap, Selection, fit_surface, select_surface};
 use crate::progress::{Progress, Silent};
 use crate::report::{Picture, Report};
@@ -152,21 +150,17 @@ const DRAWN: [&str; 5] = ["phong", "phong2", "msh36", "log-quadratic", "auto"];
 fn profile(column: u32, row: u32, texel: &TexelObservations, compared: &[Compared]) -> Result<String> {
     let green = |i: &usize| texel.radiance[*i][1];
     let brightest = (0..texel.len()).max_by(|a, b| green(a).total_cmp(&green(b))).unwrap_or_default();
-    let toward = texel.direction[brightest].as_dvec3();
-    let along = DVec3::new(toward.x, toward.y, 0.0).try_normalize().unwrap_or(DVec3::X);
-    let across = DVec3::Z.cross(along);
-    let measured = (0..texel.len())
-        .map(|i| (texel.direction[i].as_dvec3(), f64::from(texel.radiance[i][1])))
-        .filter(|(direction, _)| direction.dot(across).abs() < 10f64.to_radians().sin())
-        .map(|(direction, radiance)| (direction.dot(along).atan2(direction.z).to_degrees(), radiance));
+    let cut = Cut::through(texel.direction[brightest].as_dvec3());
+    let measured = (0..texel.len()).filter_map(|i| {
+        let degrees = cut.from_normal_deg(texel.direction[i].as_dvec3())?;
+        Some((degrees, f64::from(texel.radiance[i][1])))
+    });
     let mut series =
         vec![Series { name: "measured".into(), points: measured.collect(), drawn: Drawn::Marks }];
     for compared in compared.iter().filter(|c| DRAWN.contains(&c.name.as_str())) {
         let value = |degrees: i32| {
-            let (sine, cosine) = f64::from(degrees).to_radians().sin_cos();
-            let direction: Vec3 = (along * sine + DVec3::Z * cosine).as_vec3();
             let (model, parameters) = compared.map.texel(column, row);
-            let radiance = model.radiance(parameters, direction);
+            let radiance = model.radiance(parameters, cut.direction(f64::from(degrees)).as_vec3());
             (f64::from(degrees), f64::from(radiance[1]))
         };
         series.push(Series {

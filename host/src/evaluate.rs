@@ -235,6 +235,28 @@ fn beyond_range(levels: &[u16; 3]) -> Mask {
     if levels.contains(&Picture::FLOAT_WHITE) { RadianceImage::SATURATED } else { 0 }
 }
 
+/// The views of a session that [`session_references`] can give: done, measured, and placed by the registration if there is one.
+///
+/// # Errors
+/// [`Error::Input`] when the registration cannot be read, or there is no such view.
+pub fn comparable_views(session: &Session) -> Result<Vec<usize>> {
+    let registration = Registration::of(session)?;
+    let mut views = session.done_views();
+    views.retain(|&view| {
+        let name = &session.manifest.views[view].name;
+        session.radiance_path(view).exists()
+            && registration.as_ref().is_none_or(|registration| registration.view(name).is_some())
+    });
+    if views.is_empty() {
+        return Err(Error::input(
+            session.folder(),
+            "has no view with radiance and a place",
+            "run `rigel radiance`, and `rigel register` where the poses are not known",
+        ));
+    }
+    Ok(views)
+}
+
 /// Views of a session as references, by index; from where they were registered, if the session was, and on one scale, as far as
 /// the session's [`Photometry`] tells it.
 ///

@@ -3,7 +3,7 @@
 //! Each module is a room on the road that the data takes, and imports only rooms upstream of it:
 //! `geometry` → `rig`, `camera`, `sampling` → `session` → `radiance`, `calibration` → `observation` → `fit`,
 //! `photometry`, `parameter_map` → `render` → `evaluate`, `plan`, `chart`, `report`; from `radiance` and `tracker` to `environment` → `room`;
-//! from `parameter_map` to `shader` → `web`, from `render` to `splats`; `info` knows them all.
+//! from `parameter_map` to `shader` → `web` and to `emitter`, from `render` to `splats`; `info` knows them all.
 
 mod calendar;
 pub mod calibration;
@@ -11,6 +11,7 @@ pub mod camera;
 pub mod capture;
 pub mod chart;
 pub mod compare;
+pub mod emitter;
 pub mod environment;
 pub mod error;
 pub mod evaluate;

@@ -1,6 +1,7 @@
 //! The observation map: per texel, every view's radiance against direction.
 
 mod build;
+mod cut;
 pub(crate) mod exr_file;
 mod gain;
 mod map;
@@ -14,6 +15,7 @@ use glam::Vec3;
 
 pub(crate) use build::{Area, sample_area};
 pub use build::{Options, observe, observe_under};
+pub use cut::Cut;
 pub use map::{Header, ObservationMap, ObservedView};
 pub use sample::Sample;
 

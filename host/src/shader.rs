@@ -11,4 +11,4 @@ mod tests;
 
 pub use detail::{SMOOTH, sharpness};
 pub use packed::{Packed, Stored};
-pub use source::{Look, camera_numbers, plain_source, source};
+pub use source::{Look, camera_numbers, false_colour, plain_source, source};

@@ -104,6 +104,21 @@ pub fn parse_texels(text: &str) -> Result<Texels> {
     }
 }
 
+/// Reads a texel's column and row, `12,34`; the top-left one is 0,0.
+///
+/// # Errors
+/// [`Error::Request`] when it is not two whole numbers.
+pub fn parse_texel(text: &str) -> Result<(u32, u32)> {
+    let parts =
+        text.split_once(',').and_then(|(c, r)| Some((c.trim().parse().ok()?, r.trim().parse().ok()?)));
+    parts.ok_or_else(|| {
+        Error::request(
+            format!("'{text}' is not a texel"),
+            "write its column and row as 12,34; the top-left one is 0,0",
+        )
+    })
+}
+
 /// Reads a board's inner corners, `9x6`.
 ///
 /// # Errors

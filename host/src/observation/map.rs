@@ -241,6 +241,17 @@ impl ObservationMap {
         Ok(texels)
     }
 
+    /// What was measured of texel (`column`, `row`), which the map has; its whole tile is read.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the file cannot be mapped.
+    pub fn texel(&self, column: u32, row: u32) -> Result<TexelObservations> {
+        let (tiles, size) = (self.header.tiles(), self.header.tile);
+        let tile = self.tile((row / size.rows * tiles.columns + column / size.columns) as usize)?;
+        let found = tile.into_iter().find(|(place, _)| *place == (column, row));
+        Ok(found.map(|(_, texel)| texel).unwrap_or_default())
+    }
+
     /// Puts the texels of one tile in the place of those of another, whose memory it takes over.
     pub(crate) fn read_tile(
         &self,

@@ -15,6 +15,9 @@ impl ParameterMap {
         } else {
             for (index, model) in self.models.iter().enumerate() {
                 let chosen = self.choice.iter().filter(|choice| usize::from(**choice) == index).count();
+                if chosen == 0 {
+                    continue;
+                }
                 let share = 100.0 * chosen as f64 / self.choice.len() as f64;
                 facts.push(format!("{}: {share:.1} % of the texels", model.name()));
             }
@@ -38,6 +41,12 @@ impl ParameterMap {
             residuals.sort_by(f32::total_cmp);
             if let Some(median) = residuals.get(residuals.len() / 2) {
                 facts.push(format!("residual over expected error: median {median:.2}"));
+            }
+            let mut sigmas = diagnostics.sigma.clone();
+            sigmas.retain(|sigma| sigma.is_finite());
+            sigmas.sort_by(f32::total_cmp);
+            if let Some(median) = sigmas.get(sigmas.len() / 2) {
+                facts.push(format!("68 % of unseen measurements within {:.1} % (median)", 100.0 * median));
             }
         }
         facts

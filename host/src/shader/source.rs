@@ -8,6 +8,7 @@ use super::packed::Stored;
 use crate::fit::Model;
 use crate::fit::harmonics::Written;
 use crate::geometry::{Lens, Pose, Surface, Texels};
+use crate::render::expose;
 
 /// WGSL that shows maps of these models. Entry points: the vertices `everywhere` (three of them), and the fragments `by_pixel`
 /// (exact), `shade_texel` (the radiance of each texel, to a texture of one pixel for each) and `by_texel` (blends that).
@@ -146,6 +147,29 @@ pub struct Look {
     pub false_colour: bool,
     /// What is seen beside the surface, RGB between 0 and 1.
     pub beside: [f32; 3],
+}
+
+impl Look {
+    /// What the shader shows of a linear RGB radiance.
+    pub fn levels(&self, radiance: [f32; 3]) -> [u8; 3] {
+        let exposed = radiance.map(|radiance| expose(radiance, self.gamma));
+        if self.false_colour {
+            let [r, g, b] = exposed;
+            return false_colour(0.2126 * r + 0.7152 * g + 0.0722 * b);
+        }
+        exposed.map(|y| (255.0 * y).round() as u8)
+    }
+}
+
+/// The colour of a number between 0 and 1 in false-colour pictures: the shader's polynomial.
+pub fn false_colour(y: f32) -> [u8; 3] {
+    let of = |c: [f32; 6]| c.iter().rev().fold(0.0, |sum, coefficient| sum * y + coefficient);
+    [
+        of([0.13572138, 4.615_392_6, -42.660_324, 132.13109, -152.94240, 59.286379]),
+        of([0.09140261, 2.194_188_4, 4.842_966_6, -14.185_033, 4.277_298_6, 2.829_566]),
+        of([0.10667330, 12.641_946, -60.582_05, 110.362_77, -89.903_11, 27.348_25]),
+    ]
+    .map(|value: f32| (255.0 * value.clamp(0.0, 1.0)).round() as u8)
 }
 
 /// The numbers of the shader's `Camera`, ten vectors; `scale` is that of [`Packed`](super::Packed), `levels` how many halvings

@@ -2,7 +2,8 @@
 // map and appended.
 
 struct Camera {
-    // The camera's axes and centre in the surface's frame, metres: x right, y down, z forward.
+    // The camera's axes and centre in the surface's frame, metres: x right, y down, z forward. The w of the first two: width and
+    // depth of a floor before the surface, where there is one.
     right: vec4<f32>,
     down: vec4<f32>,
     forward: vec4<f32>,
@@ -17,7 +18,7 @@ struct Camera {
     look: vec4<f32>,
     // What is seen beside the surface (RGB); smallest level of detail.
     beside: vec4<f32>,
-    // Width and height of the picture, pixels.
+    // Width and height of the picture, pixels; the finest level of averages that is shown.
     picture: vec4<f32>,
 }
 
@@ -155,9 +156,23 @@ fn by_texel(corner: Corner) -> @location(0) vec4<f32> {
     }
     // The narrower side of what a pixel covers: at grazing angles rather fine than blurred. Up to two texels the blend of four misses none.
     let covered = min(dot(across, across), dot(along, along));
-    let level = clamp(0.5 * log2(max(covered, 1e-12)) - 1.0, 0.0, camera.beside.w);
+    let level = clamp(0.5 * log2(max(covered, 1e-12)) - 1.0, camera.picture.z, camera.beside.w);
     let at = clamp(hit.at, vec2<f32>(0.0), camera.surface.zw - 1.0);
     return exposed(textureSampleLevel(shaded, smooth_sampler, (at + 0.5) / camera.surface.zw, level).xyz);
+}
+
+// A floor along the lower edge of the surface, in front of it; `shaded` is its radiance. Nothing hides it from who stands above it.
+@fragment
+fn floor_before(corner: Corner) -> @location(0) vec4<f32> {
+    let u = undistorted(corner.pixel);
+    let ray = camera.right.xyz * u.x + camera.down.xyz * u.y + camera.forward.xyz;
+    let above = camera.centre.y + 0.5 * camera.surface.y;
+    let point = camera.centre.xyz + ray * (above / max(-ray.y, 1e-20));
+    let part = vec2<f32>(0.5 + point.x / camera.right.w, point.z / camera.down.w);
+    if (above <= 0.0 || ray.y >= 0.0 || camera.centre.z <= 0.0 || any(part < vec2<f32>(0.0)) || any(part > vec2<f32>(1.0))) {
+        discard;
+    }
+    return exposed(textureSampleLevel(shaded, smooth_sampler, part, 0.0).xyz);
 }
 
 // cos^m near its top, where a processor's own power of a number just below 1 may lose the digits that a large m needs:

@@ -61,7 +61,7 @@ fn main() -> Result<()> {
     let rate = |draw: &dyn Fn(&View)| -> Result<f64> {
         let view = |i: u32| {
             let pose = Pose::from_rig(0.02 * f64::from(i), 0.3 + 0.01 * f64::from(i), 0.8);
-            View { lens, pose, look, shading: Shading::Automatic }
+            View { lens, pose, look, shading: Shading::Automatic, halvings: 0 }
         };
         // The first frame compiles.
         draw(&view(0));

@@ -2,11 +2,11 @@
 
 use rigel::shader::{Stored, source};
 use wgpu::{
-    BindGroupLayout, BindGroupLayoutDescriptor, BindGroupLayoutEntry, BindingType, BufferBindingType,
-    ColorTargetState, ColorWrites, Device, FragmentState, MultisampleState, PipelineLayout,
-    PipelineLayoutDescriptor, PrimitiveState, RenderPipeline, RenderPipelineDescriptor, SamplerBindingType,
-    ShaderModule, ShaderModuleDescriptor, ShaderSource, ShaderStages, TextureFormat, TextureSampleType,
-    TextureViewDimension, VertexState,
+    BindGroupLayout, BindGroupLayoutDescriptor, BindGroupLayoutEntry, BindingType, BlendState,
+    BufferBindingType, ColorTargetState, ColorWrites, Device, FragmentState, MultisampleState,
+    PipelineLayout, PipelineLayoutDescriptor, PrimitiveState, RenderPipeline, RenderPipelineDescriptor,
+    SamplerBindingType, ShaderModule, ShaderModuleDescriptor, ShaderSource, ShaderStages, TextureFormat,
+    TextureSampleType, TextureViewDimension, VertexState,
 };
 
 use crate::graphics::Graphics;
@@ -21,6 +21,7 @@ pub(crate) struct Pipelines {
     pub shade_texel: RenderPipeline,
     pub halve: RenderPipeline,
     pub by_texel: RenderPipeline,
+    pub floor: RenderPipeline,
 }
 
 impl Pipelines {
@@ -62,12 +63,14 @@ impl Pipelines {
             bind_group_layouts: &[Some(&layout)],
             immediate_size: 0,
         });
-        let pipeline = |fragment, format| pipeline(device, Some(&pipeline_layout), &module, fragment, format);
+        let pipeline =
+            |fragment, format| pipeline(device, Some(&pipeline_layout), &module, fragment, format, None);
         Self {
             by_pixel: pipeline("by_pixel", format),
             shade_texel: pipeline("shade_texel", SHADED),
             halve: pipeline("halve", SHADED),
             by_texel: pipeline("by_texel", format),
+            floor: pipeline("floor_before", format),
             layout,
         }
     }
@@ -80,6 +83,7 @@ pub(crate) fn pipeline(
     module: &ShaderModule,
     fragment: &str,
     format: TextureFormat,
+    blend: Option<BlendState>,
 ) -> RenderPipeline {
     device.create_render_pipeline(&RenderPipelineDescriptor {
         label: Some(fragment),
@@ -97,7 +101,7 @@ pub(crate) fn pipeline(
             module,
             entry_point: Some(fragment),
             compilation_options: Default::default(),
-            targets: &[Some(ColorTargetState { format, blend: None, write_mask: ColorWrites::ALL })],
+            targets: &[Some(ColorTargetState { format, blend, write_mask: ColorWrites::ALL })],
         }),
         multiview_mask: None,
         cache: None,

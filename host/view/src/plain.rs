@@ -91,7 +91,7 @@ impl Plain {
             label: None,
             source: ShaderSource::Wgsl(text.into()),
         });
-        let pipeline = pipeline(device, None, &module, "plain", PICTURE);
+        let pipeline = pipeline(device, None, &module, "plain", PICTURE, None);
         let uniform = device.create_buffer(&BufferDescriptor {
             label: None,
             size: size_of::<[[f32; 4]; 10]>() as u64,

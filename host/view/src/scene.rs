@@ -1,6 +1,8 @@
 //! A parameter map on the device.
 
 use bytemuck::cast_slice;
+use half::f16;
+use rigel::emitter::Floor;
 use rigel::geometry::{Lens, Pose, Surface, Texels};
 use rigel::parameter_map::ParameterMap;
 use rigel::shader::{Look, Packed, SMOOTH, camera_numbers, sharpness};
@@ -8,7 +10,7 @@ use rigel::{Error, Result};
 use wgpu::{
     BindGroup, BindGroupDescriptor, BindGroupEntry, BindingResource, BufferDescriptor, BufferUsages, Color,
     CommandEncoder, CommandEncoderDescriptor, FilterMode, LoadOp, MipmapFilterMode, Operations,
-    RenderPassColorAttachment, RenderPassDescriptor, RenderPipeline, SamplerDescriptor, StoreOp,
+    RenderPassColorAttachment, RenderPassDescriptor, RenderPipeline, Sampler, SamplerDescriptor, StoreOp,
     TextureFormat, TextureUsages, TextureView, TextureViewDescriptor,
 };
 
@@ -42,6 +44,9 @@ pub struct View {
     pub look: Look,
     /// Where models are evaluated.
     pub shading: Shading,
+    /// How often the texels are halved in number along each side: the radiance of 2 x 2 becomes one. Anything but 0 is shaded by
+    /// texel.
+    pub halvings: u32,
 }
 
 /// A parameter map on the device, ready to be drawn.
@@ -60,6 +65,11 @@ pub struct Scene {
     levels: Vec<TextureView>,
     /// To make each level but the first from the one before.
     halve: Vec<BindGroup>,
+    places: TextureView,
+    coefficients: TextureView,
+    sampler: Sampler,
+    /// A floor that the map lights: what draws it, its width and its depth in metres.
+    floor: Option<(BindGroup, [f32; 2])>,
 }
 
 impl Scene {
@@ -106,19 +116,7 @@ impl Scene {
         });
         let pipelines = Pipelines::new(graphics, &packed.models, format);
         let group = |shaded: &TextureView| {
-            let view =
-                |binding, view| BindGroupEntry { binding, resource: BindingResource::TextureView(view) };
-            graphics.device.create_bind_group(&BindGroupDescriptor {
-                label: None,
-                layout: &pipelines.layout,
-                entries: &[
-                    BindGroupEntry { binding: 0, resource: uniform.as_entire_binding() },
-                    view(1, &places),
-                    view(2, &coefficients),
-                    view(3, shaded),
-                    BindGroupEntry { binding: 4, resource: BindingResource::Sampler(&sampler) },
-                ],
-            })
+            bind(graphics, &pipelines, (&uniform, &sampler), [&places, &coefficients, shaded])
         };
         Ok(Self {
             surface: map.surface,
@@ -132,17 +130,43 @@ impl Scene {
             pipelines,
             uniform,
             levels,
+            places,
+            coefficients,
+            sampler,
+            floor: None,
         })
     }
 
+    /// Shows, from now on, a floor before the map that the map lights; or none.
+    pub fn set_floor(&mut self, graphics: &Graphics, floor: Option<&Floor>) {
+        self.floor = floor.map(|floor| {
+            let halves = |radiance: &[f32; 3]| {
+                let [r, g, b] = radiance.map(|value| f16::from_f32(value.min(f16::MAX.to_f32())).to_bits());
+                [r, g, b, f16::ONE.to_bits()]
+            };
+            let texels: Vec<[u16; 4]> = floor.radiance.iter().map(halves).collect();
+            let size = (floor.points.0 as u32, floor.points.1 as u32);
+            let radiance = graphics.filled(size, SHADED, cast_slice(&texels));
+            let textures = [&self.places, &self.coefficients, &radiance];
+            let group = bind(graphics, &self.pipelines, (&self.uniform, &self.sampler), textures);
+            (group, [floor.width_m as f32, floor.depth_m as f32])
+        });
+    }
+
+    /// How often the texels can be halved in number.
+    pub fn most_halvings(&self) -> u32 {
+        self.levels.len() as u32 - 1
+    }
+
     /// Whether pictures come with blue first.
-    pub(crate) fn is_blue_first(&self) -> bool {
+    fn is_blue_first(&self) -> bool {
         matches!(self.format, TextureFormat::Bgra8Unorm | TextureFormat::Bgra8UnormSrgb)
     }
 
     /// Whether texels are shaded one by one in this view.
     pub fn is_by_texel(&self, view: &View) -> bool {
         match view.shading {
+            _ if view.halvings > 0 => true,
             Shading::ByPixel => false,
             Shading::ByTexel => true,
             Shading::Automatic => {
@@ -173,8 +197,9 @@ impl Scene {
     /// Draws a view into `target`.
     pub fn draw(&self, graphics: &Graphics, view: &View, target: &TextureView) {
         let is_by_texel = self.is_by_texel(view);
-        let averages = if is_by_texel { self.averages(view) } else { 0 };
-        let numbers = camera_numbers(
+        let halvings = view.halvings.min(self.most_halvings());
+        let averages = if is_by_texel { self.averages(view).max(halvings) } else { 0 };
+        let mut numbers = camera_numbers(
             &self.surface,
             self.texels,
             &view.lens,
@@ -183,6 +208,10 @@ impl Scene {
             self.scale,
             averages,
         );
+        numbers[9][2] = halvings as f32;
+        if let Some((_, [width_m, depth_m])) = self.floor {
+            (numbers[0][3], numbers[1][3]) = (width_m, depth_m);
+        }
         graphics.queue.write_buffer(&self.uniform, 0, cast_slice(&numbers));
         let mut encoder = graphics.device.create_command_encoder(&CommandEncoderDescriptor::default());
         if is_by_texel {
@@ -193,6 +222,9 @@ impl Scene {
         }
         let pipeline = if is_by_texel { &self.pipelines.by_texel } else { &self.pipelines.by_pixel };
         pass(&mut encoder, pipeline, if is_by_texel { &self.draw } else { &self.shade }, target);
+        if let Some((floor, _)) = &self.floor {
+            pass_over(&mut encoder, &self.pipelines.floor, floor, target);
+        }
         graphics.queue.submit([encoder.finish()]);
     }
 
@@ -221,18 +253,58 @@ impl Scene {
     }
 }
 
+fn bind(
+    graphics: &Graphics,
+    pipelines: &Pipelines,
+    (uniform, sampler): (&wgpu::Buffer, &Sampler),
+    [places, coefficients, shaded]: [&TextureView; 3],
+) -> BindGroup {
+    let view = |binding, view| BindGroupEntry { binding, resource: BindingResource::TextureView(view) };
+    graphics.device.create_bind_group(&BindGroupDescriptor {
+        label: None,
+        layout: &pipelines.layout,
+        entries: &[
+            BindGroupEntry { binding: 0, resource: uniform.as_entire_binding() },
+            view(1, places),
+            view(2, coefficients),
+            view(3, shaded),
+            BindGroupEntry { binding: 4, resource: BindingResource::Sampler(sampler) },
+        ],
+    })
+}
+
+/// Draws everywhere.
 pub(crate) fn pass(
     encoder: &mut CommandEncoder,
     pipeline: &RenderPipeline,
     group: &BindGroup,
     target: &TextureView,
 ) {
+    draw(encoder, (pipeline, group), target, LoadOp::Clear(Color::BLACK));
+}
+
+/// Draws over what is there.
+pub(crate) fn pass_over(
+    encoder: &mut CommandEncoder,
+    pipeline: &RenderPipeline,
+    group: &BindGroup,
+    target: &TextureView,
+) {
+    draw(encoder, (pipeline, group), target, LoadOp::Load);
+}
+
+fn draw(
+    encoder: &mut CommandEncoder,
+    (pipeline, group): (&RenderPipeline, &BindGroup),
+    target: &TextureView,
+    load: LoadOp<Color>,
+) {
     let mut pass = encoder.begin_render_pass(&RenderPassDescriptor {
         color_attachments: &[Some(RenderPassColorAttachment {
             view: target,
             depth_slice: None,
             resolve_target: None,
-            ops: Operations { load: LoadOp::Clear(Color::BLACK), store: StoreOp::Store },
+            ops: Operations { load, store: StoreOp::Store },
         })],
         ..RenderPassDescriptor::default()
     });

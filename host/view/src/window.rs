@@ -1,15 +1,19 @@
 //! A window: turn a map with mouse and keys, or step through photographed views.
 
 mod pane;
+mod turn;
+mod words;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use glam::DVec3;
+use rigel::emitter::Floor;
 use rigel::evaluate::Reference;
-use rigel::geometry::{Lens, Pose, Surface, unit_vector};
+use rigel::geometry::Pose;
+use rigel::observation::ObservationMap;
 use rigel::parameter_map::ParameterMap;
-use rigel::render::{expose, png};
+use rigel::render::png;
+use rigel::shader::Look;
 use rigel::{Error, Result, file};
 use winit::application::ApplicationHandler;
 use winit::dpi::PhysicalSize;
@@ -18,20 +22,19 @@ use winit::event_loop::{ActiveEventLoop, EventLoop};
 use winit::keyboard::{Key, NamedKey};
 use winit::window::{Window, WindowId};
 
+use crate::contact_sheet::scale;
+use crate::flip::{difference, matched, photograph};
+use crate::profile::{PANEL, Profile};
+use crate::raster::{DIM, Raster, text_size};
 use crate::scene::{Shading, View};
 use pane::Pane;
+use turn::{fitting, moved, turned};
+pub use words::KEYS;
 
-/// What the keys do, line by line.
-pub const KEYS: [&str; 8] = [
-    "drag or arrows: turn; wheel or + -: distance; 0: as at first",
-    "[ ]: exposure; f: false colours",
-    "m: next map",
-    "n p: next and previous photographed view (with --session)",
-    "space: photograph, reconstruction, difference (x 4)",
-    "x: by pixel, by texel, automatic",
-    "s: screenshot",
-    "q or Escape: end",
-];
+/// A pointer that moves no farther between press and release has clicked, pixels.
+const CLICK_PX: f64 = 4.0;
+/// Coarser than an eighth of the texels along each side nothing is to be seen.
+const MOST_HALVINGS: u32 = 3;
 
 /// What a window shows.
 pub struct Show {
@@ -43,7 +46,11 @@ pub struct Show {
     pub photographs: usize,
     /// Gets one of them.
     pub photograph: Box<dyn Fn(usize) -> Result<Reference>>,
-    /// Where a screenshot goes; the first frame is written there if `at_once` says so.
+    /// What was measured, where it is at hand.
+    pub observations: Option<ObservationMap>,
+    /// The texel (column, row) of the first map whose radiance against direction is drawn at first.
+    pub texel: Option<(u32, u32)>,
+    /// Where a screenshot goes, or beside it under another number; the first frame is written there if `at_once` says so.
     pub screenshot: PathBuf,
     /// Write the first frame.
     pub at_once: bool,
@@ -56,18 +63,8 @@ pub struct Show {
 /// photograph's reading says.
 pub fn open(show: Show) -> Result<()> {
     let events = EventLoop::new().map_err(|error| no_display(&error))?;
-    let orbit = Orbit::of(&show.view);
-    let mut app = App {
-        orbit,
-        first: orbit,
-        map: 0,
-        step: None,
-        face: Face::Reconstruction,
-        dragged: None,
-        pane: None,
-        failed: None,
-        show,
-    };
+    let mut app = App::new(show);
+    app.look_at_texel()?;
     events.run_app(&mut app).map_err(|error| no_display(&error))?;
     app.failed.map_or(Ok(()), Err)
 }
@@ -87,33 +84,6 @@ fn no_display(error: &dyn std::fmt::Display) -> Error {
     }
 }
 
-/// Where the camera is: it looks at the middle of the surface.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Orbit {
-    azimuth_rad: f64,
-    zenith_rad: f64,
-    distance_m: f64,
-}
-
-impl Orbit {
-    fn of(view: &View) -> Self {
-        let (azimuth_rad, zenith_rad) = rigel::geometry::azimuth_zenith(view.pose.centre_m);
-        // From straight above any azimuth is right: this one has y up.
-        let azimuth_rad = if zenith_rad < 1e-6 { -std::f64::consts::FRAC_PI_2 } else { azimuth_rad };
-        Self { azimuth_rad, zenith_rad, distance_m: view.pose.centre_m.length() }
-    }
-
-    fn pose(&self) -> Pose {
-        let centre_m = unit_vector(self.azimuth_rad, self.zenith_rad) * self.distance_m;
-        let up = DVec3::new(
-            -self.azimuth_rad.cos() * self.zenith_rad.cos(),
-            -self.azimuth_rad.sin() * self.zenith_rad.cos(),
-            self.zenith_rad.sin(),
-        );
-        Pose::from_axes(centre_m, -centre_m, up)
-    }
-}
-
 /// What is shown of a photographed view.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Face {
@@ -124,132 +94,230 @@ enum Face {
 
 struct App {
     show: Show,
-    orbit: Orbit,
-    first: Orbit,
+    pose: Pose,
     map: usize,
-    /// The photographed view that is shown, instead of an orbit.
+    /// The photographed view that is shown, instead of one from anywhere.
     step: Option<(usize, Reference)>,
     face: Face,
-    dragged: Option<Option<(f64, f64)>>,
+    /// Keys and facts are written.
+    is_written: bool,
+    is_floor_lit: bool,
+    /// The texel whose radiance is drawn.
+    profile: Option<Profile>,
+    pointer: (f64, f64),
+    /// Where the button was pressed, and whether it has been moved since.
+    pressed: Option<((f64, f64), bool)>,
     pane: Option<Pane>,
     failed: Option<Error>,
 }
 
-/// A lens that shows as much of the surface in a window of any size.
-fn lens(surface: &Surface, size: PhysicalSize<u32>, view: &View) -> Lens {
-    let (width, height) = (size.width.max(1), size.height.max(1));
-    let by = f64::from(width.min(height)) / f64::from(view.lens.width.min(view.lens.height).max(1));
-    let focal_px = (view.lens.fx * by).max(1e-3 * surface.width_m);
-    Lens::pinhole(width, height, focal_px)
+/// A name that nothing has yet: `view.png`, `view-2.png`, ...
+fn unused(path: &Path) -> PathBuf {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let numbered = (2..).map(|number| path.with_file_name(format!("{stem}-{number}.png")));
+    [path.to_owned()].into_iter().chain(numbered).find(|path| !path.exists()).unwrap_or_else(|| path.into())
 }
 
-/// Levels of a photographed view, or four times its difference from what the map says, around middle grey.
-fn levels(reference: &Reference, reconstruction: Option<&[[u8; 3]]>, gamma: f32) -> Vec<[u8; 3]> {
-    let exposed = |l: &[f32; 3]| l.map(|l| (255.0 * expose(l, gamma)).round() as u8);
-    let photograph = reference.radiance.radiance.iter().map(exposed);
-    let Some(reconstruction) = reconstruction else { return photograph.collect() };
-    let difference = |(a, b): ([u8; 3], &[u8; 3])| {
-        std::array::from_fn(|c| (128 + 4 * (i32::from(b[c]) - i32::from(a[c]))).clamp(0, 255) as u8)
-    };
-    photograph.zip(reconstruction).map(difference).collect()
+/// Where a picture of this size lies in a window: in its middle, as large as fits.
+fn framed(size: PhysicalSize<u32>, (width, height): (u32, u32)) -> ((i32, i32), (u32, u32)) {
+    let (across, down) = (f64::from(size.width), f64::from(size.height));
+    let by = (across / f64::from(width)).min(down / f64::from(height));
+    let shown = [width, height].map(|side| ((by * f64::from(side)).round() as u32).max(1));
+    let corner = ((across - f64::from(shown[0])) / 2.0, (down - f64::from(shown[1])) / 2.0);
+    ((corner.0 as i32, corner.1 as i32), (shown[0], shown[1]))
 }
 
 impl App {
-    fn view(&self, size: PhysicalSize<u32>) -> View {
+    fn new(show: Show) -> Self {
+        Self {
+            pose: show.view.pose,
+            map: 0,
+            step: None,
+            face: Face::Reconstruction,
+            is_written: true,
+            is_floor_lit: false,
+            profile: None,
+            pointer: (0.0, 0.0),
+            pressed: None,
+            pane: None,
+            failed: None,
+            show,
+        }
+    }
+
+    fn size(&self) -> PhysicalSize<u32> {
+        let lens = &self.show.view.lens;
+        self.pane.as_ref().map_or(PhysicalSize::new(lens.width, lens.height), Pane::size)
+    }
+
+    fn view(&self) -> View {
         let view = self.show.view;
         match &self.step {
             Some((_, reference)) => View { lens: reference.lens, pose: reference.pose, ..view },
-            None => View {
-                lens: lens(&self.show.maps[self.map].1.surface, size, &view),
-                pose: self.orbit.pose(),
-                ..view
-            },
+            None => View { lens: fitting(&view.lens, self.size()), pose: self.pose, ..view },
+        }
+    }
+
+    /// The photographed view's picture that is shown.
+    fn flipped(&self, pane: &Pane, reference: &Reference) -> Result<Vec<[u8; 3]>> {
+        let view = self.view();
+        let exposed = || {
+            let look = Look { false_colour: false, ..view.look };
+            pane.picture(&View { look, ..view })
+        };
+        Ok(match self.face {
+            Face::Photograph => photograph(reference, &view.look),
+            Face::Reconstruction => pane.picture(&view)?,
+            Face::Difference => difference(reference, &exposed()?, &view.look),
+        })
+    }
+
+    /// What lies over the scene: a photographed view's picture, a texel's radiance, text.
+    fn overlay(&self, pane: &Pane) -> Result<Raster> {
+        let size = pane.size();
+        let mut over = Raster::new(size.width, size.height);
+        if let Some((_, reference)) = &self.step {
+            let own = (reference.lens.width, reference.lens.height);
+            let (corner, shown) = framed(size, own);
+            over.picture(corner, shown, &self.flipped(pane, reference)?, own);
+        }
+        self.write(&mut over);
+        Ok(over)
+    }
+
+    fn write(&self, over: &mut Raster) {
+        // Large letters where they leave room for the surface.
+        let scale = if over.width >= 1100 && over.height >= 700 { 2 } else { 1 };
+        let margin = (4 * scale) as i32;
+        if let Some(profile) = &self.profile {
+            let size = (PANEL.0 * scale, (PANEL.1 * scale).min(over.height));
+            over.place((over.width as i32 - size.0 as i32, 0), &profile.draw(size, scale));
+        }
+        if self.is_written {
+            let (name, map) = &self.show.maps[self.map];
+            let mut lines = words::facts(name, map);
+            lines.push(String::new());
+            lines.extend(words::seen(&self.view(), self.of().as_deref()));
+            let keys = words::keys();
+            let (_, high) = text_size(&keys, scale);
+            over.note((margin, margin), scale, &lines);
+            over.note((margin, over.height as i32 - high as i32 - 3 * margin), scale, &keys);
+        }
+        if self.step.is_some() && self.face == Face::Difference && self.show.view.look.false_colour {
+            let corner = (over.width as i32 - 352, over.height as i32 - 16);
+            over.fill((corner.0 - 4, corner.1 - 4), (356, 20), DIM);
+            self::scale(over, corner);
         }
     }
 
     fn draw(&mut self) -> Result<()> {
         let Some(pane) = &self.pane else { return Ok(()) };
-        let view = self.view(pane.size());
-        let picture = match &self.step {
-            None => None,
-            Some((_, reference)) => {
-                let own = || pane.picture(&view);
-                Some(match self.face {
-                    Face::Photograph => levels(reference, None, view.look.gamma),
-                    Face::Reconstruction => own()?,
-                    Face::Difference => levels(reference, Some(&own()?), view.look.gamma),
-                })
-            }
-        };
-        pane.title(&self.title());
-        match &picture {
-            Some(picture) => pane.show(picture, (view.lens.width, view.lens.height))?,
-            None => pane.draw(&view)?,
-        }
+        pane.title(&format!("rigel view: {}", self.show.maps[self.map].0));
+        let view = self.step.is_none().then(|| self.view());
+        pane.draw(view.as_ref(), &self.overlay(pane)?)?;
         if std::mem::take(&mut self.show.at_once) {
-            self.screenshot()?;
+            let path = self.show.screenshot.clone();
+            self.screenshot(&path)?;
         }
         Ok(())
     }
 
-    fn title(&self) -> String {
-        let name = &self.show.maps[self.map].0;
-        let shading = match self.show.view.shading {
-            Shading::Automatic => "automatic",
-            Shading::ByPixel => "by pixel",
-            Shading::ByTexel => "by texel",
+    /// Which picture of which photographed view is shown.
+    fn of(&self) -> Option<String> {
+        let (index, reference) = self.step.as_ref()?;
+        let face = match self.face {
+            Face::Photograph => "photograph",
+            Face::Reconstruction => "reconstruction",
+            Face::Difference if self.show.view.look.false_colour => "difference",
+            Face::Difference => "difference x 4",
         };
-        let seen = match (&self.step, self.face) {
-            (None, _) => String::new(),
-            (Some((_, view)), Face::Photograph) => format!(", photograph {}", view.name),
-            (Some((_, view)), Face::Reconstruction) => format!(", reconstruction of {}", view.name),
-            (Some((_, view)), Face::Difference) => format!(", difference from {} x 4", view.name),
-        };
-        format!(
-            "{name}{seen}, gamma {:.3}, {shading} | drag [ ] m n p space f x s 0 q",
-            self.show.view.look.gamma
-        )
+        Some(format!("{face} {} ({} of {})", reference.name, index + 1, self.show.photographs))
     }
 
-    fn screenshot(&self) -> Result<()> {
+    /// Writes what is seen.
+    fn screenshot(&self, path: &Path) -> Result<()> {
         let Some(pane) = &self.pane else { return Ok(()) };
-        let view = self.view(pane.size());
-        let picture = pane.picture(&view)?;
-        file::write_bytes(
-            &self.show.screenshot,
-            &png(view.lens.width, view.lens.height, picture.as_flattened())?,
-        )
+        let (size, over) = (pane.size(), self.overlay(pane)?);
+        let levels = match &self.step {
+            None => over.on(pane.picture(&self.view())?),
+            Some(_) => over.levels(),
+        };
+        file::write_bytes(path, &png(size.width, size.height, levels.as_flattened())?)
     }
 
     fn step(&mut self, by: usize) -> Result<()> {
         let count = self.show.photographs;
         if count > 0 {
             let next = self.step.as_ref().map_or(0, |(index, _)| (index + by) % count);
-            self.step = Some((next, (self.show.photograph)(next)?));
+            self.step = Some((next, matched((self.show.photograph)(next)?, &self.show.maps[self.map].1)));
         }
         Ok(())
     }
 
     fn turn(&mut self, azimuth_rad: f64, zenith_rad: f64) {
         self.step = None;
-        self.orbit.azimuth_rad += azimuth_rad;
-        self.orbit.zenith_rad = (self.orbit.zenith_rad + zenith_rad).clamp(0.0, 1.55);
+        self.pose = turned(&self.pose, azimuth_rad, zenith_rad);
     }
 
     fn zoom(&mut self, factor: f64) {
         self.step = None;
-        let most = 100.0 * self.first.distance_m;
-        self.orbit.distance_m = (self.orbit.distance_m * factor).clamp(0.02 * self.first.distance_m, most);
+        let first_m = self.show.view.pose.centre_m.length();
+        self.pose = moved(&self.pose, factor, (0.02 * first_m, 100.0 * first_m));
     }
 
-    fn key(&mut self, key: &Key, events: &ActiveEventLoop) -> Result<()> {
+    /// The texel that is seen at a place of the window.
+    fn texel_at(&self, (x, y): (f64, f64)) -> Option<(u32, u32)> {
+        let view = self.view();
+        let pixel = match &self.step {
+            // The middle of the first pixel is half a pixel from the corner.
+            None => (x - 0.5, y - 0.5),
+            Some(_) => {
+                let (corner, shown) = framed(self.size(), (view.lens.width, view.lens.height));
+                let along = |at: f64, corner: i32, shown: u32, side: u32| {
+                    (at - f64::from(corner)) / f64::from(shown) * f64::from(side) - 0.5
+                };
+                (along(x, corner.0, shown.0, view.lens.width), along(y, corner.1, shown.1, view.lens.height))
+            }
+        };
+        let map = &self.show.maps[self.map].1;
+        let ray = view.pose.direction_to_surface(view.lens.unproject(pixel.into())?);
+        let point_m = map.surface.intersect(view.pose.centre_m, ray)?;
+        let at = map.surface.contains(point_m).then(|| map.surface.texel_at(map.texels, point_m).round())?;
+        let within = |at: f64, count: u32| (at.max(0.0) as u32).min(count - 1);
+        Some((within(at.x, map.texels.columns), within(at.y, map.texels.rows)))
+    }
+
+    /// Draws the chosen texel's radiance against direction, of the map that is shown.
+    fn look_at_texel(&mut self) -> Result<()> {
+        let map = &self.show.maps[self.map].1;
+        let is_of_map = |(column, row): &(u32, u32)| *column < map.texels.columns && *row < map.texels.rows;
+        let texel = self.show.texel.filter(is_of_map);
+        let profile = texel.map(|texel| Profile::new(map, texel, self.show.observations.as_ref()));
+        self.profile = profile.transpose()?;
+        Ok(())
+    }
+
+    fn light_floor(&mut self) {
+        let floor = self.is_floor_lit.then(|| Floor::lit_by(&self.show.maps[self.map].1));
+        if let Some(pane) = &mut self.pane {
+            pane.set_floor(floor.as_ref());
+        }
+    }
+
+    fn click(&mut self) -> Result<()> {
+        self.show.texel = self.texel_at(self.pointer);
+        self.look_at_texel()
+    }
+
+    /// Does what a key is for; false ends the window.
+    fn key(&mut self, key: &Key) -> Result<bool> {
         let look = &mut self.show.view.look;
         match key.as_ref() {
             Key::Named(NamedKey::ArrowLeft) => self.turn(-0.05, 0.0),
             Key::Named(NamedKey::ArrowRight) => self.turn(0.05, 0.0),
             Key::Named(NamedKey::ArrowUp) => self.turn(0.0, -0.05),
             Key::Named(NamedKey::ArrowDown) => self.turn(0.0, 0.05),
-            Key::Named(NamedKey::Escape) | Key::Character("q") => events.exit(),
+            Key::Named(NamedKey::Escape) | Key::Character("q") => return Ok(false),
             Key::Named(NamedKey::Space) => {
                 self.face = match self.face {
                     Face::Photograph => Face::Reconstruction,
@@ -262,10 +330,19 @@ impl App {
             Key::Character("[") => look.gamma /= 1.1,
             Key::Character("]") => look.gamma *= 1.1,
             Key::Character("f") => look.false_colour = !look.false_colour,
-            Key::Character("0") => (self.orbit, self.step) = (self.first, None),
+            Key::Character("h") => self.is_written = !self.is_written,
+            Key::Character("0") => (self.pose, self.step) = (self.show.view.pose, None),
             Key::Character("n") => self.step(1)?,
             Key::Character("p") => self.step(self.show.photographs.saturating_sub(1))?,
-            Key::Character("s") => self.screenshot()?,
+            Key::Character("s") => self.screenshot(&unused(&self.show.screenshot))?,
+            Key::Character("l") => {
+                self.is_floor_lit = !self.is_floor_lit;
+                self.light_floor();
+            }
+            Key::Character("r") => {
+                let most = self.pane.as_ref().map_or(MOST_HALVINGS, Pane::most_halvings).min(MOST_HALVINGS);
+                self.show.view.halvings = (self.show.view.halvings + 1) % (most + 1);
+            }
             Key::Character("x") => {
                 let shading = &mut self.show.view.shading;
                 *shading = match shading {
@@ -279,10 +356,12 @@ impl App {
                 if let Some(pane) = &mut self.pane {
                     pane.load(&self.show.maps[self.map].1)?;
                 }
+                self.light_floor();
+                self.look_at_texel()?;
             }
             _ => {}
         }
-        Ok(())
+        Ok(true)
     }
 
     /// What went wrong ends the window and is told.
@@ -331,20 +410,29 @@ impl ApplicationHandler for App {
                 self.heed(Ok(()), events);
             }
             WindowEvent::KeyboardInput { event, .. } if event.state == ElementState::Pressed => {
-                let result = self.key(&event.logical_key, events);
-                self.heed(result, events);
+                let result = self.key(&event.logical_key);
+                if let Ok(false) = result {
+                    events.exit();
+                }
+                self.heed(result.map(drop), events);
             }
             WindowEvent::MouseInput { state, button: MouseButton::Left, .. } => {
-                self.dragged = (state == ElementState::Pressed).then_some(None);
+                let was_pressed = self.pressed.take();
+                if state == ElementState::Pressed {
+                    self.pressed = Some((self.pointer, false));
+                } else if let Some((_, false)) = was_pressed {
+                    let result = self.click();
+                    self.heed(result, events);
+                }
             }
             WindowEvent::CursorMoved { position, .. } => {
-                if let Some(before) = self.dragged.replace(Some((position.x, position.y))) {
-                    if let Some((x, y)) = before {
-                        self.turn(0.008 * (x - position.x), 0.008 * (y - position.y));
-                        self.heed(Ok(()), events);
-                    }
-                } else {
-                    self.dragged = None;
+                let (x, y) = std::mem::replace(&mut self.pointer, (position.x, position.y));
+                let Some((from, is_dragged)) = self.pressed else { return };
+                let off_px = (position.x - from.0).hypot(position.y - from.1);
+                if is_dragged || off_px > CLICK_PX {
+                    self.pressed = Some((from, true));
+                    self.turn(0.008 * (x - position.x), 0.008 * (y - position.y));
+                    self.heed(Ok(()), events);
                 }
             }
             WindowEvent::MouseWheel { delta, .. } => {
@@ -359,3 +447,6 @@ impl ApplicationHandler for App {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -69,7 +69,7 @@ fn every_model_looks_as_the_processor_draws_it() {
         let look = look(&truth);
         let scene = Scene::new(&graphics, map, PICTURE).unwrap();
         for shading in [Shading::ByPixel, Shading::ByTexel] {
-            let picture = scene.picture(&graphics, &View { lens, pose, look, shading }).unwrap();
+            let picture = scene.picture(&graphics, &View { lens, pose, look, shading, halvings: 0 }).unwrap();
             let (mean, most) = difference(&truth, look.gamma, &picture);
             let name = if map.models.len() == 1 { map.name() } else { "mixed, with a palette".into() };
             println!("{name:>22} {shading:?}: mean {mean:.3}, maximum {most} of 255");
@@ -90,7 +90,8 @@ fn a_lens_that_bends_lines_bends_them_alike() {
     let truth = truth(&map, &lens, &pose);
     let look = look(&truth);
     let scene = Scene::new(&graphics, &map, PICTURE).unwrap();
-    let picture = scene.picture(&graphics, &View { lens, pose, look, shading: Shading::ByPixel }).unwrap();
+    let picture =
+        scene.picture(&graphics, &View { lens, pose, look, shading: Shading::ByPixel, halvings: 0 }).unwrap();
     let (mean, most) = difference(&truth, look.gamma, &picture);
     assert!(mean <= 0.5 && most <= 4.0, "mean {mean}, maximum {most}");
     // Beside the surface nothing is seen, and the same pixels are beside it.
@@ -110,7 +111,7 @@ fn from_below_and_edge_on_nothing_is_seen() {
     for centre in [glam::DVec3::new(0.0, -0.3, -0.2), glam::DVec3::new(0.0, -0.5, 0.0)] {
         let pose = Pose::from_axes(centre, -centre, glam::DVec3::Z);
         for shading in [Shading::ByPixel, Shading::ByTexel] {
-            let picture = scene.picture(&graphics, &View { lens, pose, look, shading }).unwrap();
+            let picture = scene.picture(&graphics, &View { lens, pose, look, shading, halvings: 0 }).unwrap();
             assert!(picture.iter().all(|pixel| *pixel == [255, 0, 0]), "{centre}");
         }
     }
@@ -135,7 +136,8 @@ fn far_away_a_surface_has_its_mean_colour_and_does_not_flicker() {
     let lens = Lens::pinhole(64, 64, 64.0);
     let pose = Pose::from_rig(0.2, 0.1, 0.5);
     let look = Look { gamma: 1.0, false_colour: false, beside: [0.0; 3] };
-    let picture = scene.picture(&graphics, &View { lens, pose, look, shading: Shading::ByTexel }).unwrap();
+    let picture =
+        scene.picture(&graphics, &View { lens, pose, look, shading: Shading::ByTexel, halvings: 0 }).unwrap();
     let middle = (28..36).flat_map(|row| (28..36).map(move |column| row * 64 + column));
     let grey = (255.0 * rigel::render::expose(1.0, 1.0)).round() as i32;
     for i in middle {

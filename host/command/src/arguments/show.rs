@@ -4,6 +4,8 @@ use std::path::PathBuf;
 
 use clap::{ArgGroup, Args};
 use rigel::geometry::Texels;
+#[cfg(feature = "viewer")]
+use rigel::units::parse_texel;
 use rigel::units::{parse_degrees, parse_length_m, parse_texels};
 
 /// Where the camera is.
@@ -38,9 +40,15 @@ pub struct View {
     /// Parameter maps; `m` goes from one to the next
     #[arg(required = true)]
     pub maps: Vec<PathBuf>,
-    /// The session whose photographs are compared with the first map
+    /// The session whose photographs are compared with the map, and whose observations a texel's radiance is drawn with
     #[arg(long)]
     pub session: Option<PathBuf>,
+    /// Write ten views of the session to a PNG and open no window: photograph, reconstruction and difference, each on the surface's rectangle
+    #[arg(long, value_name = "FILE", requires = "session", conflicts_with_all = ["headless", "screenshot", "texel", "false_colour"])]
+    pub contact_sheet: Option<PathBuf>,
+    /// Draw this texel's radiance against direction beside the picture
+    #[arg(long, value_name = "COLUMN,ROW", value_parser = parse_texel)]
+    pub texel: Option<(u32, u32)>,
     /// Open no window
     #[arg(long, requires = "screenshot")]
     pub headless: bool,
@@ -55,7 +63,7 @@ pub struct View {
     pub false_colour: bool,
     #[command(flatten)]
     pub camera: Camera,
-    /// Replace the screenshot that is there
+    /// Replace the picture that is there
     #[arg(long)]
     pub force: bool,
 }

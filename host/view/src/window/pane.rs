@@ -1,18 +1,23 @@
-//! The window's surface: a scene drawn into it, or a picture.
+//! The window's surface: a scene drawn into it, and a picture over that.
 
 use std::sync::Arc;
 
+use bytemuck::cast_slice;
+use rigel::emitter::Floor;
 use rigel::parameter_map::ParameterMap;
 use rigel::{Error, Result};
 use wgpu::{
-    CurrentSurfaceTexture, Extent3d, Instance, InstanceDescriptor, Surface, SurfaceConfiguration,
-    SurfaceTexture, TexelCopyBufferLayout, TextureUsages,
+    BindGroupDescriptor, BindGroupEntry, BindingResource, BlendState, CommandEncoderDescriptor,
+    CurrentSurfaceTexture, Instance, InstanceDescriptor, RenderPipeline, ShaderModuleDescriptor,
+    ShaderSource, Surface, SurfaceConfiguration, SurfaceTexture, TextureFormat,
 };
 use winit::dpi::PhysicalSize;
 use winit::window::Window;
 
 use crate::graphics::Graphics;
-use crate::scene::{Scene, View};
+use crate::pipelines::pipeline;
+use crate::raster::Raster;
+use crate::scene::{Scene, View, pass, pass_over};
 
 /// A window with a map on a device.
 pub(super) struct Pane {
@@ -21,6 +26,7 @@ pub(super) struct Pane {
     configuration: SurfaceConfiguration,
     graphics: Graphics,
     scene: Scene,
+    overlay: RenderPipeline,
 }
 
 fn lost(what: impl Into<String>) -> Error {
@@ -43,10 +49,15 @@ impl Pane {
         if let Some(format) = capabilities.formats.iter().find(|format| !format.is_srgb()) {
             configuration.format = *format;
         }
-        configuration.usage |= capabilities.usages & TextureUsages::COPY_DST;
         surface.configure(&graphics.device, &configuration);
         let scene = Scene::new(&graphics, map, configuration.format)?;
-        Ok(Self { window, surface, configuration, graphics, scene })
+        let module = graphics.device.create_shader_module(ShaderModuleDescriptor {
+            label: Some("overlay"),
+            source: ShaderSource::Wgsl(include_str!("overlay.wgsl").into()),
+        });
+        let blend = Some(BlendState::PREMULTIPLIED_ALPHA_BLENDING);
+        let overlay = pipeline(&graphics.device, None, &module, "over", configuration.format, blend);
+        Ok(Self { window, surface, configuration, graphics, scene, overlay })
     }
 
     pub fn size(&self) -> PhysicalSize<u32> {
@@ -72,6 +83,14 @@ impl Pane {
         Ok(())
     }
 
+    pub fn set_floor(&mut self, floor: Option<&Floor>) {
+        self.scene.set_floor(&self.graphics, floor);
+    }
+
+    pub fn most_halvings(&self) -> u32 {
+        self.scene.most_halvings()
+    }
+
     /// The next frame; `None` where there is none to draw now.
     fn frame(&self) -> Result<Option<SurfaceTexture>> {
         match self.surface.get_current_texture() {
@@ -88,44 +107,29 @@ impl Pane {
         }
     }
 
-    pub fn draw(&self, view: &View) -> Result<()> {
-        if let Some(frame) = self.frame()? {
-            self.scene.draw(&self.graphics, view, &frame.texture.create_view(&Default::default()));
-            self.graphics.queue.present(frame);
+    /// Draws the scene, where `view` says how, and a picture of the window's size over it, or else on black.
+    pub fn draw(&self, view: Option<&View>, over: &Raster) -> Result<()> {
+        let Some(frame) = self.frame()? else { return Ok(()) };
+        let target = frame.texture.create_view(&Default::default());
+        if let Some(view) = view {
+            self.scene.draw(&self.graphics, view, &target);
         }
+        let size = (over.width.max(1), over.height.max(1));
+        let texture = self.graphics.filled(size, TextureFormat::Rgba8Unorm, cast_slice(&over.pixels));
+        let group = self.graphics.device.create_bind_group(&BindGroupDescriptor {
+            label: None,
+            layout: &self.overlay.get_bind_group_layout(0),
+            entries: &[BindGroupEntry { binding: 0, resource: BindingResource::TextureView(&texture) }],
+        });
+        let mut encoder = self.graphics.device.create_command_encoder(&CommandEncoderDescriptor::default());
+        let draw = if view.is_some() { pass_over } else { pass };
+        draw(&mut encoder, &self.overlay, &group, &target);
+        self.graphics.queue.submit([encoder.finish()]);
+        self.graphics.queue.present(frame);
         Ok(())
     }
 
     pub fn picture(&self, view: &View) -> Result<Vec<[u8; 3]>> {
         self.scene.picture(&self.graphics, view)
-    }
-
-    /// Shows a picture in the middle of the window, as large as fits (nearest pixels).
-    pub fn show(&self, picture: &[[u8; 3]], (width, height): (u32, u32)) -> Result<()> {
-        let Some(frame) = self.frame()? else { return Ok(()) };
-        if !frame.texture.usage().contains(TextureUsages::COPY_DST) {
-            return Err(lost("the device cannot copy pictures into it"));
-        }
-        let (across, down) = (frame.texture.width(), frame.texture.height());
-        let by = (f64::from(across) / f64::from(width)).min(f64::from(down) / f64::from(height));
-        let pixel = |x: u32, y: u32| {
-            let column = (f64::from(x) - (f64::from(across) - by * f64::from(width)) / 2.0) / by;
-            let row = (f64::from(y) - (f64::from(down) - by * f64::from(height)) / 2.0) / by;
-            let is_inside =
-                column >= 0.0 && row >= 0.0 && column < f64::from(width) && row < f64::from(height);
-            let [r, g, b] =
-                if is_inside { picture[row as usize * width as usize + column as usize] } else { [0; 3] };
-            if self.scene.is_blue_first() { [b, g, r, 255] } else { [r, g, b, 255] }
-        };
-        let bytes: Vec<u8> = (0..down).flat_map(|y| (0..across).flat_map(move |x| pixel(x, y))).collect();
-        self.graphics.queue.write_texture(
-            frame.texture.as_image_copy(),
-            &bytes,
-            TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(4 * across), rows_per_image: None },
-            Extent3d { width: across, height: down, depth_or_array_layers: 1 },
-        );
-        self.graphics.queue.submit([]);
-        self.graphics.queue.present(frame);
-        Ok(())
     }
 }

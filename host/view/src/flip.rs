@@ -1,0 +1,67 @@
+//! A photographed view beside what a map says of it, exposed alike: what one flips between.
+
+use glam::DVec2;
+use rigel::evaluate::Reference;
+use rigel::geometry::Texels;
+use rigel::parameter_map::ParameterMap;
+use rigel::shader::{Look, false_colour};
+
+/// A difference of so many levels of 255 is at the end of the scale of colours.
+pub(crate) const MOST: f32 = 32.0;
+
+/// Places along each side of the surface at which an unknown gain is measured.
+const PLACES: u32 = 48;
+
+/// Brings a photograph whose exposure time is not known to the scale of the map: by the median of their ratio over the surface.
+pub fn matched(mut reference: Reference, map: &ParameterMap) -> Reference {
+    if reference.exposure_time_known {
+        return reference;
+    }
+    let places = Texels { columns: PLACES, rows: PLACES };
+    let ratios = |i: u32| {
+        let point_m = map.surface.texel_centre(places, i % PLACES, i / PLACES);
+        let pixel = reference.lens.project(reference.pose.to_camera(point_m))?.round();
+        let is_inside = pixel.cmpge(DVec2::ZERO).all()
+            && pixel.x < f64::from(reference.lens.width)
+            && pixel.y < f64::from(reference.lens.height);
+        let index = is_inside
+            .then(|| pixel.y as usize * reference.lens.width as usize + pixel.x as usize)
+            .filter(|&index| reference.radiance.mask[index] == 0)?;
+        let direction = (reference.pose.centre_m - point_m).normalize().as_vec3();
+        let said = map.radiance_at(map.surface.texel_at(map.texels, point_m), direction);
+        let seen = reference.radiance.radiance[index];
+        Some((0..3).map(move |c| said[c] / seen[c].max(1e-9)))
+    };
+    let mut ratios: Vec<f32> = (0..PLACES * PLACES).filter_map(ratios).flatten().collect();
+    if !ratios.is_empty() {
+        let middle = ratios.len() / 2;
+        let gain = *ratios.select_nth_unstable_by(middle, f32::total_cmp).1;
+        reference.radiance.radiance.iter_mut().flatten().for_each(|value| *value *= gain);
+    }
+    reference
+}
+
+/// The photograph as the map would be shown.
+pub fn photograph(reference: &Reference, look: &Look) -> Vec<[u8; 3]> {
+    reference.radiance.radiance.iter().map(|radiance| look.levels(*radiance)).collect()
+}
+
+/// What the reconstruction (exposed, no false colours) differs from the photograph by: four times, around middle grey; or how much
+/// of 255, as a colour on a scale up to [`MOST`]. Pixels that were not measured are black.
+pub fn difference(reference: &Reference, reconstruction: &[[u8; 3]], look: &Look) -> Vec<[u8; 3]> {
+    let exposed = photograph(reference, &Look { false_colour: false, ..*look });
+    let pairs = exposed.iter().zip(reconstruction).zip(&reference.radiance.mask);
+    pairs
+        .map(|((photograph, reconstruction), mask)| {
+            let off = |c: usize| i32::from(reconstruction[c]) - i32::from(photograph[c]);
+            match (*mask, look.false_colour) {
+                (0, false) => std::array::from_fn(|c| (128 + 4 * off(c)).clamp(0, 255) as u8),
+                (0, true) => {
+                    let mean = (0..3).map(|c| off(c).abs()).sum::<i32>() as f32 / 3.0;
+                    false_colour((mean / MOST).min(1.0))
+                }
+                _ => [0; 3],
+            }
+        })
+        .collect()
+}
