@@ -9,7 +9,7 @@ use rigel::render::render;
 use rigel::shader::{Look, false_colour};
 use rigel::{Error, Result};
 
-use crate::flip::{MOST, difference, matched, photograph};
+use crate::flip::{MOST, apart, matched, photograph};
 use crate::font::LINE;
 use crate::graphics::Graphics;
 use crate::raster::{FAINT, INK, Raster, text_size};
@@ -93,15 +93,20 @@ pub fn contact_sheet(
         let drawn = View { lens: reference.lens, pose: reference.pose, look, ..*view };
         let reconstruction = scene.picture(graphics, &drawn)?;
         let photograph = photograph(&reference, &look);
-        let coloured = difference(&reference, &reconstruction, &Look { false_colour: true, ..look });
         let flipped = flipped(map, &reference, &photograph, &reconstruction)?;
 
         let x = (left + column as u32 * (tile.columns + GAP)) as i32;
-        for (row, levels) in [&photograph, &reconstruction, &coloured].into_iter().enumerate() {
+        let seen = |levels: &[[u8; 3]]| on_the_surface(map, &reference, levels, tile);
+        let (above, below) = (seen(&photograph), seen(&reconstruction));
+        let unmeasured: Vec<[u8; 3]> =
+            reference.radiance.mask.iter().map(|mask| if *mask == 0 { [0; 3] } else { [255; 3] }).collect();
+        let pairs = above.iter().zip(&below).zip(seen(&unmeasured));
+        let coloured: Vec<[u8; 3]> =
+            pairs.map(|((a, b), hidden)| if hidden == [0; 3] { apart(a, b) } else { [0; 3] }).collect();
+        for (row, levels) in [&above, &below, &coloured].into_iter().enumerate() {
             let y = (top + row as u32 * (tile.rows + GAP)) as i32;
-            let seen = on_the_surface(map, &reference, levels, tile);
             let size = (tile.columns, tile.rows);
-            sheet.picture((x, y), size, &seen, size);
+            sheet.picture((x, y), size, levels, size);
         }
         let [first, second] = flipped.label();
         sheet.text((x, GAP as i32), 1, &first, INK);

@@ -56,12 +56,15 @@ pub fn difference(reference: &Reference, reconstruction: &[[u8; 3]], look: &Look
             let off = |c: usize| i32::from(reconstruction[c]) - i32::from(photograph[c]);
             match (*mask, look.false_colour) {
                 (0, false) => std::array::from_fn(|c| (128 + 4 * off(c)).clamp(0, 255) as u8),
-                (0, true) => {
-                    let mean = (0..3).map(|c| off(c).abs()).sum::<i32>() as f32 / 3.0;
-                    false_colour((mean / MOST).min(1.0))
-                }
+                (0, true) => apart(photograph, reconstruction),
                 _ => [0; 3],
             }
         })
         .collect()
+}
+
+/// How far two exposed colours are apart, as a colour on a scale up to [`MOST`].
+pub(crate) fn apart(a: &[u8; 3], b: &[u8; 3]) -> [u8; 3] {
+    let sum: u32 = a.iter().zip(b).map(|(a, b)| u32::from(a.abs_diff(*b))).sum();
+    false_colour((sum as f32 / 3.0 / MOST).min(1.0))
 }

@@ -100,6 +100,7 @@ impl Profile {
             panel.text((margin, y), scale, fact, if number == 0 { INK } else { FAINT });
             y += line;
         }
+        y += margin;
         let rest = (height as i32 - y - 4 * line - 2 * margin).max(0);
         let most = self.most();
         let axes = |top: i32, from: f64, to: f64| Axes {

@@ -94,7 +94,7 @@ mod tests {
     fn drawn(shift: DVec2, gain: f64) -> Vec<[u8; 3]> {
         let level = |i: usize| {
             let (x, y) = ((i % 80) as f64 - shift.x, (i / 80) as f64 - shift.y);
-            let waves = (0.31 * x + 0.12 * y).sin() + (0.17 * x - 0.29 * y).cos() + (0.05 * x * y).sin();
+            let waves = (0.31 * x + 0.12 * y).sin() + (0.17 * x - 0.29 * y).cos() + (0.002 * x * y).sin();
             [(100.0 + gain * 20.0 * waves).round() as u8; 3]
         };
         (0..80 * 60).map(level).collect()

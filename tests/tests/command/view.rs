@@ -136,3 +136,77 @@ fn a_window_opens_and_draws() {
     // It goes on until somebody ends it.
     assert!(window.0.try_wait().unwrap().is_none());
 }
+
+fn succeeded(folder: &Path, arguments: &[&str]) -> Option<String> {
+    let output = rigel(folder).args(arguments).output().unwrap();
+    let said =
+        [&output.stdout, &output.stderr].map(|text| String::from_utf8_lossy(text).into_owned()).concat();
+    if said.contains("no device with Vulkan") {
+        assert!(std::env::var_os("CI").is_none(), "{said}");
+        eprintln!("skipped: {said}");
+        return None;
+    }
+    assert!(output.status.success(), "{arguments:?}: {said}");
+    Some(said)
+}
+
+#[test]
+fn a_texel_s_radiance_is_drawn_beside_the_picture_and_one_beside_the_map_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    write_map(&folder.path().join("map.exr"));
+    let picture = ["view", "map.exr", "--headless", "--size", "200x150", "--screenshot"];
+    let with = |more: &[&str]| succeeded(folder.path(), &[&picture, more].concat());
+    if with(&["alone.png"]).is_none() {
+        return;
+    }
+    with(&["dim.png", "--texel", "0,0"]).unwrap();
+    with(&["bright.png", "--texel", "31,23"]).unwrap();
+    let [alone, dim, bright] = ["alone.png", "dim.png", "bright.png"]
+        .map(|name| image::open(folder.path().join(name)).unwrap().into_rgb8());
+    assert!(dim.width() > alone.width() + 200);
+    for (x, y, pixel) in alone.enumerate_pixels() {
+        assert_eq!(dim.get_pixel(x, y), pixel);
+    }
+    assert_ne!(dim, bright);
+    for (texel, wanted) in [("32,0", "31,23"), ("0,24", "31,23"), ("5", "12,34"), ("-1,0", "12,34")] {
+        let refused = rigel(folder.path())
+            .args([&picture[..], &["none.png", &format!("--texel={texel}")]].concat())
+            .output()
+            .unwrap();
+        let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+        assert!(!refused.status.success() && said.contains(wanted), "{said}");
+        assert!(!folder.path().join("none.png").exists());
+    }
+}
+
+/// Flipping from a photograph to its reconstruction moves nothing.
+#[test]
+fn a_contact_sheet_of_a_simulated_session_shows_no_jump() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |arguments: &[&str]| succeeded(folder.path(), arguments);
+    run(&["capture", "session", "--sampling", "spiral", "--views", "24"]).unwrap();
+    let refused =
+        rigel(folder.path()).args(["view", "map.exr", "--contact-sheet", "a.png"]).output().unwrap();
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("--session"));
+    run(&["radiance", "session"]).unwrap();
+    run(&["observe", "session", "--texels", "128x96"]).unwrap();
+    run(&["fit", "session/observations.rigel", "--model", "phong2"]).unwrap();
+    let sheet = ["view", "session/phong2.exr", "--session", "session", "--contact-sheet", "sheet.png"];
+    let Some(said) = run(&sheet) else { return };
+    let shifts: Vec<f64> = said
+        .lines()
+        .filter_map(|line| line.split_once("shifted by ")?.1.strip_suffix(" pixels"))
+        .map(|pair| {
+            let (x, y) = pair.split_once(", ").unwrap();
+            x.parse::<f64>().unwrap().hypot(y.parse().unwrap())
+        })
+        .collect();
+    let worst = shifts.iter().copied().fold(0.0, f64::max);
+    println!("photograph against reconstruction, ten views: at worst {worst:.2} pixels apart");
+    assert_eq!(shifts.len(), 10, "{said}");
+    assert!(worst < 0.25, "{said}");
+    let picture = image::open(folder.path().join("sheet.png")).unwrap().into_rgb8();
+    assert!(picture.width() > 1200 && picture.height() > 300);
+    let again = rigel(folder.path()).args(sheet).output().unwrap();
+    assert!(String::from_utf8_lossy(&again.stderr).contains("--force"));
+}

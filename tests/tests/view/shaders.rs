@@ -5,6 +5,7 @@
 mod common;
 
 use common::{cameras, finer, fitted, mixed, oblique, observed};
+use rigel::emitter::Floor;
 use rigel::fit::Model;
 use rigel::geometry::{Lens, Pose, Texels};
 use rigel::parameter_map::ParameterMap;
@@ -120,18 +121,7 @@ fn from_below_and_edge_on_nothing_is_seen() {
 #[test]
 fn far_away_a_surface_has_its_mean_colour_and_does_not_flicker() {
     let Some(graphics) = graphics() else { return };
-    // A chessboard of single texels, black and white.
-    let texels = Texels { columns: 256, rows: 256 };
-    let white = |i: u32| if (i % 256 + i / 256).is_multiple_of(2) { 2.0 } else { 0.0 };
-    let map = ParameterMap {
-        surface: rigel::geometry::Surface { width_m: 0.2, height_m: 0.2 },
-        texels,
-        models: vec![Model::Constant],
-        choice: vec![],
-        parameters: (0..256 * 256).flat_map(|i| [white(i); 3]).collect(),
-        diagnostics: None,
-        uncertainty: None,
-    };
+    let map = chessboard();
     let scene = Scene::new(&graphics, &map, PICTURE).unwrap();
     let lens = Lens::pinhole(64, 64, 64.0);
     let pose = Pose::from_rig(0.2, 0.1, 0.5);
@@ -143,4 +133,108 @@ fn far_away_a_surface_has_its_mean_colour_and_does_not_flicker() {
     for i in middle {
         assert!((i32::from(picture[i][0]) - grey).abs() <= 3, "{:?} is not {grey}", picture[i]);
     }
+}
+
+#[test]
+fn false_colours_are_the_processor_s() {
+    let Some(graphics) = graphics() else { return };
+    let (surface, observed) = observed(TEXELS);
+    let map = fitted(surface, TEXELS, Model::Phong { lobes: 1 }, &observed);
+    let (lens, pose) = oblique();
+    let truth = truth(&map, &lens, &pose);
+    let look = Look { false_colour: true, ..look(&truth) };
+    let scene = Scene::new(&graphics, &map, PICTURE).unwrap();
+    let view = View { lens, pose, look, shading: Shading::ByPixel, halvings: 0 };
+    let picture = scene.picture(&graphics, &view).unwrap();
+    let width = truth.width as usize;
+    let inner = |i: &usize| {
+        *i > width
+            && *i + width < picture.len()
+            && [0, 1, width, 2 * width].iter().all(|o| truth.inside[i + o - width])
+    };
+    let (mut most, mut count) = (0, 0);
+    for i in (0..picture.len()).filter(inner) {
+        let want = look.levels(truth.radiance[i]);
+        most = (0..3).map(|c| want[c].abs_diff(picture[i][c])).fold(most, u8::max);
+        count += 1;
+    }
+    // The scale of colours is up to five times as steep as levels are.
+    assert!(count > 10_000 && most <= 8, "{most} of 255 over {count} pixels");
+}
+
+/// A chessboard of single texels, black and white.
+fn chessboard() -> ParameterMap {
+    let texels = Texels { columns: 256, rows: 256 };
+    let white = |i: u32| if (i % 256 + i / 256).is_multiple_of(2) { 2.0 } else { 0.0 };
+    ParameterMap {
+        surface: rigel::geometry::Surface { width_m: 0.2, height_m: 0.2 },
+        texels,
+        models: vec![Model::Constant],
+        choice: vec![],
+        parameters: (0..256 * 256).flat_map(|i| [white(i); 3]).collect(),
+        diagnostics: None,
+        uncertainty: None,
+    }
+}
+
+#[test]
+fn coarser_texels_have_the_mean_radiance_of_those_that_they_replace() {
+    let Some(graphics) = graphics() else { return };
+    let scene = Scene::new(&graphics, &chessboard(), PICTURE).unwrap();
+    // So near that single texels are seen.
+    let (lens, pose) = (Lens::pinhole(64, 64, 640.0), Pose::from_rig(0.0, 0.0, 0.1));
+    let look = Look { gamma: 1.0, false_colour: false, beside: [0.0; 3] };
+    let draw = |halvings| {
+        let view = View { lens, pose, look, shading: Shading::Automatic, halvings };
+        scene.picture(&graphics, &view).unwrap()
+    };
+    let levels = draw(0);
+    assert!(levels.iter().any(|pixel| pixel[0] < 10) && levels.iter().any(|pixel| pixel[0] > 200));
+    let grey = (255.0 * rigel::render::expose(1.0, 1.0)).round() as i32;
+    for halvings in [1, 3, 100] {
+        for pixel in draw(halvings) {
+            assert!((i32::from(pixel[0]) - grey).abs() <= 1, "{pixel:?} is not {grey} after {halvings}");
+        }
+    }
+}
+
+#[test]
+fn a_floor_shows_what_the_map_sends_onto_it_until_it_is_taken_away() {
+    let Some(graphics) = graphics() else { return };
+    let (surface, observed) = observed(TEXELS);
+    let map = fitted(surface, TEXELS, Model::Phong { lobes: 1 }, &observed);
+    let floor = Floor::lit_by(&map);
+    let centre = glam::DVec3::new(0.15, 0.25, 0.6);
+    let pose = Pose::from_axes(centre, glam::DVec3::new(0.0, -0.05, 0.05) - centre, glam::DVec3::Y);
+    let lens = Lens::pinhole(320, 240, 400.0);
+    let look = Look { gamma: 2.0, false_colour: false, beside: [0.0; 3] };
+    let mut scene = Scene::new(&graphics, &map, PICTURE).unwrap();
+    let view = View { lens, pose, look, shading: Shading::ByPixel, halvings: 0 };
+    let before = scene.picture(&graphics, &view).unwrap();
+    scene.set_floor(&graphics, Some(&floor));
+    let lit = scene.picture(&graphics, &view).unwrap();
+    let (columns, rows) = floor.points;
+    let (mut off, mut seen) = (0, 0);
+    for i in 0..columns * rows {
+        let point = glam::DVec3::new(
+            ((i % columns) as f64 + 0.5) / columns as f64 * floor.width_m - floor.width_m / 2.0,
+            -surface.height_m / 2.0,
+            ((i / columns) as f64 + 0.5) / rows as f64 * floor.depth_m,
+        );
+        let pixel = lens.project(pose.to_camera(point)).unwrap().round();
+        if pixel.cmpge(glam::DVec2::ZERO).all() && pixel.x < 320.0 && pixel.y < 240.0 {
+            let shown = lit[pixel.y as usize * 320 + pixel.x as usize];
+            let want = look.levels(floor.radiance[i]);
+            off += (0..3).map(|c| u32::from(shown[c].abs_diff(want[c]))).sum::<u32>();
+            seen += 1;
+        }
+    }
+    // Beside its own point a pixel shows a little of the next.
+    assert!(seen > 1000 && f64::from(off) / f64::from(3 * seen) < 1.0, "{off} over {seen} points");
+    assert!(lit.iter().any(|pixel| pixel[0] > 40) && lit != before);
+    // Where the floor is not, nothing changes.
+    let above = (0..40 * 320).filter(|i| before[*i] != lit[*i]).count();
+    assert_eq!(above, 0);
+    scene.set_floor(&graphics, None);
+    assert_eq!(scene.picture(&graphics, &view).unwrap(), before);
 }
