@@ -47,16 +47,17 @@ pub fn photograph(reference: &Reference, look: &Look) -> Vec<[u8; 3]> {
 }
 
 /// What the reconstruction (exposed, no false colours) differs from the photograph by: four times, around middle grey; or how much
-/// of 255, as a colour on a scale up to [`MOST`]. Pixels that were not measured are black.
+/// of 255, as a colour on a scale up to [`MOST`]. Pixels that were not measured, or of which the map says nothing, are black.
 pub fn difference(reference: &Reference, reconstruction: &[[u8; 3]], look: &Look) -> Vec<[u8; 3]> {
     let exposed = photograph(reference, &Look { false_colour: false, ..*look });
     let pairs = exposed.iter().zip(reconstruction).zip(&reference.radiance.mask);
     pairs
         .map(|((photograph, reconstruction), mask)| {
             let off = |c: usize| i32::from(reconstruction[c]) - i32::from(photograph[c]);
-            match (*mask, look.false_colour) {
-                (0, false) => std::array::from_fn(|c| (128 + 4 * off(c)).clamp(0, 255) as u8),
-                (0, true) => apart(photograph, reconstruction),
+            let is_known = *mask == 0 && *reconstruction != [0; 3];
+            match (is_known, look.false_colour) {
+                (true, false) => std::array::from_fn(|c| (128 + 4 * off(c)).clamp(0, 255) as u8),
+                (true, true) => apart(photograph, reconstruction),
                 _ => [0; 3],
             }
         })

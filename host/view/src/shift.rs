@@ -3,14 +3,14 @@
 use glam::DVec2;
 use rigel::geometry::Lens;
 
-/// Steps of Gauss and Newton; each corrects what the linear picture of the one before left.
-const STEPS: usize = 4;
+/// Steps of Gauss and Newton; each corrects what the linear picture of the one before left, and trusts pixels by how far they were off.
+const STEPS: usize = 8;
 /// Fewer pixels tell nothing.
 const FEWEST: usize = 100;
 
 /// By how many pixels `photograph` is shifted against `reconstruction` (x right, y down), where `counts` says that both show the
-/// surface: the least sum of squares after a gain and an offset between them are allowed for, which an imperfect model has too.
-/// `None` where too few pixels count, or the reconstruction is too even to tell.
+/// surface: the least sum of squares after a gain and an offset between them are allowed for, in which pixels count the less the farther
+/// they are off (a highlight that the model does not know is no shift). `None` where too few pixels count, or the reconstruction is too even to tell.
 pub fn shift_px(
     photograph: &[[u8; 3]],
     reconstruction: &[[u8; 3]],
@@ -32,25 +32,35 @@ pub fn shift_px(
         return None;
     }
     // Photograph(x) = gain (said(x - shift)) + offset, said linear about the shift so far.
-    let mut shift = DVec2::ZERO;
+    let (mut shift, mut weights) = (DVec2::ZERO, vec![1.0; pixels.len()]);
     for _ in 0..STEPS {
         let mut sums = [[0.0; 5]; 4];
-        for &i in &pixels {
+        let row = |i: usize| {
             let (x, y) = ((i % width) as f64 - shift.x, (i / width) as f64 - shift.y);
             let at = |x: f64, y: f64| bilinear(&said, width, height, x, y);
             let (dx, dy) = (at(x + 0.5, y) - at(x - 0.5, y), at(x, y + 0.5) - at(x, y - 0.5));
-            let row = [-dx, -dy, at(x, y), 1.0, seen[i]];
+            [-dx, -dy, at(x, y), 1.0, seen[i]]
+        };
+        let rows: Vec<[f64; 5]> = pixels.iter().map(|&i| row(i)).collect();
+        for (row, weight) in rows.iter().zip(&weights) {
             for a in 0..4 {
                 for b in 0..5 {
-                    sums[a][b] += row[a] * row[b];
+                    sums[a][b] += weight * row[a] * row[b];
                 }
             }
         }
-        let [x, y, gain, _] = solved(sums)?;
-        if gain.abs() < 1e-3 {
+        let found = solved(sums)?;
+        if found[2].abs() < 1e-3 {
             return None;
         }
-        shift += DVec2::new(x, y) / gain;
+        let off = |row: &[f64; 5]| (0..4).map(|a| found[a] * row[a]).sum::<f64>() - row[4];
+        let offs: Vec<f64> = rows.iter().map(|row| off(row).abs()).collect();
+        let mut sorted = offs.clone();
+        let middle = sorted.len() / 2;
+        // Levels are whole numbers: below half of one nothing is told.
+        let usual = sorted.select_nth_unstable_by(middle, f64::total_cmp).1.max(0.5);
+        weights = offs.iter().map(|off| 1.0 / (1.0 + (off / usual).powi(2))).collect();
+        shift += DVec2::new(found[0], found[1]) / found[2];
         if !shift.is_finite() || shift.length() > 0.1 * width as f64 {
             return None;
         }
@@ -107,6 +117,19 @@ mod tests {
             let found = shift_px(&drawn(shift, 1.2), &drawn(DVec2::ZERO, 1.0), &lens, &all).unwrap();
             assert!((found - shift).length() < 0.03, "{found} for {shift}");
         }
+    }
+
+    #[test]
+    fn a_highlight_that_the_model_does_not_know_is_no_shift() {
+        let (lens, all) = (Lens::pinhole(80, 60, 100.0), vec![true; 80 * 60]);
+        let mut photograph = drawn(DVec2::new(0.2, 0.1), 1.0);
+        for (i, pixel) in photograph.iter_mut().enumerate() {
+            let (x, y) = ((i % 80) as f64 - 20.0, (i / 80) as f64 - 40.0);
+            let light = 120.0 * (-(x * x + y * y) / 60.0).exp();
+            *pixel = pixel.map(|level| (f64::from(level) + light).min(255.0) as u8);
+        }
+        let found = shift_px(&photograph, &drawn(DVec2::ZERO, 1.0), &lens, &all).unwrap();
+        assert!((found - DVec2::new(0.2, 0.1)).length() < 0.05, "{found}");
     }
 
     #[test]

@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use rigel::emitter::Floor;
 use rigel::evaluate::Reference;
-use rigel::geometry::Pose;
+use rigel::geometry::{Lens, Pose};
 use rigel::observation::ObservationMap;
 use rigel::parameter_map::ParameterMap;
 use rigel::render::png;
@@ -127,6 +127,11 @@ fn framed(size: PhysicalSize<u32>, (width, height): (u32, u32)) -> ((i32, i32), 
     ((corner.0 as i32, corner.1 as i32), (shown[0], shown[1]))
 }
 
+/// Pixels of letters: large where they leave room for the surface.
+fn letters(size: PhysicalSize<u32>) -> u32 {
+    if size.width >= 1500 && size.height >= 900 { 2 } else { 1 }
+}
+
 impl App {
     fn new(show: Show) -> Self {
         Self {
@@ -150,11 +155,23 @@ impl App {
         self.pane.as_ref().map_or(PhysicalSize::new(lens.width, lens.height), Pane::size)
     }
 
+    /// The part of the window, from its left edge on, that no texel's radiance takes.
+    fn free(&self) -> PhysicalSize<u32> {
+        let size = self.size();
+        let taken = if self.profile.is_some() { PANEL.0 * letters(size) } else { 0 };
+        // A small window shows the one through the other.
+        let width = if size.width >= 2 * taken { size.width - taken } else { size.width };
+        PhysicalSize::new(width, size.height)
+    }
+
     fn view(&self) -> View {
         let view = self.show.view;
         match &self.step {
             Some((_, reference)) => View { lens: reference.lens, pose: reference.pose, ..view },
-            None => View { lens: fitting(&view.lens, self.size()), pose: self.pose, ..view },
+            None => {
+                let lens = Lens { width: self.size().width, ..fitting(&view.lens, self.free()) };
+                View { lens, pose: self.pose, ..view }
+            }
         }
     }
 
@@ -178,7 +195,7 @@ impl App {
         let mut over = Raster::new(size.width, size.height);
         if let Some((_, reference)) = &self.step {
             let own = (reference.lens.width, reference.lens.height);
-            let (corner, shown) = framed(size, own);
+            let (corner, shown) = framed(self.free(), own);
             over.picture(corner, shown, &self.flipped(pane, reference)?, own);
         }
         self.write(&mut over);
@@ -186,8 +203,7 @@ impl App {
     }
 
     fn write(&self, over: &mut Raster) {
-        // Large letters where they leave room for the surface.
-        let scale = if over.width >= 1100 && over.height >= 700 { 2 } else { 1 };
+        let scale = letters(PhysicalSize::new(over.width, over.height));
         let margin = (4 * scale) as i32;
         if let Some(profile) = &self.profile {
             let size = (PANEL.0 * scale, (PANEL.1 * scale).min(over.height));
@@ -197,7 +213,7 @@ impl App {
             let (name, map) = &self.show.maps[self.map];
             let mut lines = words::facts(name, map);
             lines.push(String::new());
-            lines.extend(words::seen(&self.view(), self.of().as_deref()));
+            lines.extend(words::seen(&self.view(), self.of().as_deref(), self.is_floor_lit));
             let keys = words::keys();
             let (_, high) = text_size(&keys, scale);
             over.note((margin, margin), scale, &lines);
@@ -272,7 +288,7 @@ impl App {
             // The middle of the first pixel is half a pixel from the corner.
             None => (x - 0.5, y - 0.5),
             Some(_) => {
-                let (corner, shown) = framed(self.size(), (view.lens.width, view.lens.height));
+                let (corner, shown) = framed(self.free(), (view.lens.width, view.lens.height));
                 let along = |at: f64, corner: i32, shown: u32, side: u32| {
                     (at - f64::from(corner)) / f64::from(shown) * f64::from(side) - 0.5
                 };
@@ -290,9 +306,8 @@ impl App {
     /// Draws the chosen texel's radiance against direction, of the map that is shown.
     fn look_at_texel(&mut self) -> Result<()> {
         let map = &self.show.maps[self.map].1;
-        let is_of_map = |(column, row): &(u32, u32)| *column < map.texels.columns && *row < map.texels.rows;
-        let texel = self.show.texel.filter(is_of_map);
-        let profile = texel.map(|texel| Profile::new(map, texel, self.show.observations.as_ref()));
+        let observations = self.show.observations.as_ref();
+        let profile = self.show.texel.map(|texel| Profile::new(map, texel, observations));
         self.profile = profile.transpose()?;
         Ok(())
     }
@@ -352,7 +367,16 @@ impl App {
                 }
             }
             Key::Character("m") => {
+                let before = self.show.maps[self.map].1.texels;
                 self.map = (self.map + 1) % self.show.maps.len();
+                let after = self.show.maps[self.map].1.texels;
+                // The same place, on a map that may be finer or coarser.
+                let scaled = |at: u32, from: u32, to: u32| {
+                    ((u64::from(at) * 2 + 1) * u64::from(to) / (2 * u64::from(from))) as u32
+                };
+                self.show.texel = self.show.texel.map(|(column, row)| {
+                    (scaled(column, before.columns, after.columns), scaled(row, before.rows, after.rows))
+                });
                 if let Some(pane) = &mut self.pane {
                     pane.load(&self.show.maps[self.map].1)?;
                 }

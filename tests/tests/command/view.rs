@@ -184,7 +184,7 @@ fn a_texel_s_radiance_is_drawn_beside_the_picture_and_one_beside_the_map_is_refu
 fn a_contact_sheet_of_a_simulated_session_shows_no_jump() {
     let folder = tempfile::tempdir().unwrap();
     let run = |arguments: &[&str]| succeeded(folder.path(), arguments);
-    run(&["capture", "session", "--sampling", "spiral", "--views", "24"]).unwrap();
+    run(&["capture", "session", "--sampling", "spiral", "--views", "48"]).unwrap();
     let refused =
         rigel(folder.path()).args(["view", "map.exr", "--contact-sheet", "a.png"]).output().unwrap();
     assert!(String::from_utf8_lossy(&refused.stderr).contains("--session"));

@@ -19,11 +19,16 @@ fn map() -> ParameterMap {
     }
 }
 
+fn coarse() -> ParameterMap {
+    let texels = Texels { columns: 4, rows: 3 };
+    ParameterMap { texels, parameters: vec![0.5; 3 * texels.count()], ..map() }
+}
+
 fn app(pose: Pose) -> App {
     let lens = Lens { k1: -0.1, ..Lens::pinhole(320, 240, 380.0) };
     let look = Look { gamma: 1.0, false_colour: false, beside: [0.0; 3] };
     App::new(Show {
-        maps: vec![("a".into(), map()), ("b".into(), map())],
+        maps: vec![("a".into(), map()), ("b".into(), coarse())],
         view: View { lens, pose, look, shading: Shading::Automatic, halvings: 0 },
         photographs: 3,
         photograph: Box::new(|index| {
@@ -75,14 +80,14 @@ fn the_first_pose_is_kept_whole_and_zero_brings_it_back() {
 #[test]
 fn keys_change_what_the_text_says() {
     let mut app = app(Pose::from_rig(0.0, 0.4, 0.8));
-    let text = |app: &App| words::seen(&app.view(), app.of().as_deref()).join("\n");
+    let text = |app: &App| words::seen(&app.view(), app.of().as_deref(), app.is_floor_lit).join("\n");
     assert!(text(&app).contains("zenith 22.9"), "{}", text(&app));
     press(&mut app, "n ");
     assert!(text(&app).contains("difference x 4 view0 (1 of 3)"), "{}", text(&app));
     press(&mut app, "pf ");
     assert!(text(&app).contains("photograph view2 (3 of 3)") && text(&app).contains("false"));
-    press(&mut app, "rrx");
-    assert!(text(&app).contains("by pixel, texels / 4"), "{}", text(&app));
+    press(&mut app, "rrxl");
+    assert!(text(&app).contains("by pixel, texels / 4, floor lit"), "{}", text(&app));
     assert!(!app.key(&Key::Character("q".into())).unwrap());
 }
 
@@ -142,6 +147,15 @@ fn a_click_finds_the_texel_that_is_seen_there() {
     app.pointer = (0.0, 0.0);
     app.click().unwrap();
     assert!(app.show.texel.is_none() && app.profile.is_none());
+}
+
+#[test]
+fn the_next_map_shows_the_same_place() {
+    let mut app = app(Pose::from_rig(0.3, 0.5, 0.8));
+    app.show.texel = Some((15, 6));
+    press(&mut app, "m");
+    assert_eq!(app.show.texel, Some((3, 1)));
+    assert!(app.profile.is_some());
 }
 
 #[test]

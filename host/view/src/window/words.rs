@@ -31,14 +31,14 @@ pub(super) fn keys() -> Vec<String> {
 /// More lines of facts would hide the surface.
 const MOST_FACTS: usize = 9;
 /// No line is longer.
-const LONGEST: usize = 44;
+const LONGEST: usize = 52;
 
 /// A map in lines: its name, then its facts.
 pub(super) fn facts(name: &str, map: &ParameterMap) -> Vec<String> {
     let mut lines: Vec<String> = [name.to_owned()].into_iter().chain(map.facts()).collect();
     if lines.len() > MOST_FACTS {
-        lines.truncate(MOST_FACTS - 1);
-        lines.push("... (rigel info)".into());
+        // At the end stands how good it is.
+        lines.splice(MOST_FACTS - 3..lines.len() - 2, ["... (rigel info)".to_owned()]);
     }
     lines.iter_mut().for_each(|line| *line = shortened(line));
     lines
@@ -51,8 +51,8 @@ fn shortened(line: &str) -> String {
     line.chars().take(LONGEST - 3).chain("...".chars()).collect()
 }
 
-/// What is seen, and how it is exposed; `of` is the photographed view and which picture of it.
-pub(super) fn seen(view: &View, of: Option<&str>) -> Vec<String> {
+/// What is seen, and how; `of` is the photographed view and which picture of it.
+pub(super) fn seen(view: &View, of: Option<&str>, is_floor_lit: bool) -> Vec<String> {
     let (azimuth_rad, zenith_rad) = azimuth_zenith(view.pose.centre_m);
     let shading = match view.shading {
         Shading::Automatic => "automatic",
@@ -64,6 +64,7 @@ pub(super) fn seen(view: &View, of: Option<&str>) -> Vec<String> {
         halvings => format!(", texels / {}", 1u32 << halvings),
     };
     let colours = if view.look.false_colour { ", false colours" } else { "" };
+    let floor = if is_floor_lit { ", floor lit" } else { "" };
     let lines = [
         of.map_or_else(|| "the map, from anywhere".to_owned(), str::to_owned),
         format!(
@@ -73,7 +74,7 @@ pub(super) fn seen(view: &View, of: Option<&str>) -> Vec<String> {
             view.pose.centre_m.length()
         ),
         format!("gamma {:.3}{colours}", view.look.gamma),
-        format!("shaded {shading}{texels}"),
+        format!("shaded {shading}{texels}{floor}"),
     ];
     lines.iter().map(|line| shortened(line)).collect()
 }
