@@ -308,8 +308,6 @@ impl Axes {
 
 #[cfg(test)]
 mod tests {
-    #![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
-
     use super::*;
     use rigel::geometry::Surface;
 

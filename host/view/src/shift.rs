@@ -86,9 +86,9 @@ fn solved(mut rows: [[f64; 5]; 4]) -> Option<[f64; 4]> {
             return None;
         }
         for row in (0..4).filter(|row| *row != pivot) {
-            let part = rows[row][pivot] / rows[pivot][pivot];
-            for column in pivot..5 {
-                rows[row][column] -= part * rows[pivot][column];
+            let (part, by) = (rows[row][pivot] / rows[pivot][pivot], rows[pivot]);
+            for (value, of) in rows[row].iter_mut().zip(by).skip(pivot) {
+                *value -= part * of;
             }
         }
     }
@@ -97,8 +97,6 @@ fn solved(mut rows: [[f64; 5]; 4]) -> Option<[f64; 4]> {
 
 #[cfg(test)]
 mod tests {
-    #![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
-
     use super::*;
 
     fn drawn(shift: DVec2, gain: f64) -> Vec<[u8; 3]> {

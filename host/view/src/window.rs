@@ -1,40 +1,29 @@
 //! A window: turn a map with mouse and keys, or step through photographed views.
 
+mod draw;
+mod events;
 mod pane;
 mod turn;
 mod words;
 
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::path::PathBuf;
 
 use rigel::emitter::Floor;
 use rigel::evaluate::Reference;
 use rigel::geometry::{Lens, Pose};
 use rigel::observation::ObservationMap;
 use rigel::parameter_map::ParameterMap;
-use rigel::render::png;
-use rigel::shader::Look;
-use rigel::{Error, Result, file};
-use winit::application::ApplicationHandler;
+use rigel::{Error, Result};
 use winit::dpi::PhysicalSize;
-use winit::event::{ElementState, MouseButton, MouseScrollDelta, WindowEvent};
-use winit::event_loop::{ActiveEventLoop, EventLoop};
-use winit::keyboard::{Key, NamedKey};
-use winit::window::{Window, WindowId};
+use winit::event_loop::EventLoop;
 
-use crate::contact_sheet::scale;
-use crate::flip::{difference, matched, photograph};
+use crate::flip::matched;
 use crate::profile::{PANEL, Profile};
-use crate::raster::{DIM, Raster, text_size};
-use crate::scene::{Shading, View};
+use crate::scene::View;
+use draw::{framed, letters};
 use pane::Pane;
 use turn::{fitting, moved, turned};
 pub use words::KEYS;
-
-/// A pointer that moves no farther between press and release has clicked, pixels.
-const CLICK_PX: f64 = 4.0;
-/// Coarser than an eighth of the texels along each side nothing is to be seen.
-const MOST_HALVINGS: u32 = 3;
 
 /// What a window shows.
 pub struct Show {
@@ -111,27 +100,6 @@ struct App {
     failed: Option<Error>,
 }
 
-/// A name that nothing has yet: `view.png`, `view-2.png`, ...
-fn unused(path: &Path) -> PathBuf {
-    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-    let numbered = (2..).map(|number| path.with_file_name(format!("{stem}-{number}.png")));
-    [path.to_owned()].into_iter().chain(numbered).find(|path| !path.exists()).unwrap_or_else(|| path.into())
-}
-
-/// Where a picture of this size lies in a window: in its middle, as large as fits.
-fn framed(size: PhysicalSize<u32>, (width, height): (u32, u32)) -> ((i32, i32), (u32, u32)) {
-    let (across, down) = (f64::from(size.width), f64::from(size.height));
-    let by = (across / f64::from(width)).min(down / f64::from(height));
-    let shown = [width, height].map(|side| ((by * f64::from(side)).round() as u32).max(1));
-    let corner = ((across - f64::from(shown[0])) / 2.0, (down - f64::from(shown[1])) / 2.0);
-    ((corner.0 as i32, corner.1 as i32), (shown[0], shown[1]))
-}
-
-/// Pixels of letters: large where they leave room for the surface.
-fn letters(size: PhysicalSize<u32>) -> u32 {
-    if size.width >= 1500 && size.height >= 900 { 2 } else { 1 }
-}
-
 impl App {
     fn new(show: Show) -> Self {
         Self {
@@ -173,92 +141,6 @@ impl App {
                 View { lens, pose: self.pose, ..view }
             }
         }
-    }
-
-    /// The photographed view's picture that is shown.
-    fn flipped(&self, pane: &Pane, reference: &Reference) -> Result<Vec<[u8; 3]>> {
-        let view = self.view();
-        let exposed = || {
-            let look = Look { false_colour: false, ..view.look };
-            pane.picture(&View { look, ..view })
-        };
-        Ok(match self.face {
-            Face::Photograph => photograph(reference, &view.look),
-            Face::Reconstruction => pane.picture(&view)?,
-            Face::Difference => difference(reference, &exposed()?, &view.look),
-        })
-    }
-
-    /// What lies over the scene: a photographed view's picture, a texel's radiance, text.
-    fn overlay(&self, pane: &Pane) -> Result<Raster> {
-        let size = pane.size();
-        let mut over = Raster::new(size.width, size.height);
-        if let Some((_, reference)) = &self.step {
-            let own = (reference.lens.width, reference.lens.height);
-            let (corner, shown) = framed(self.free(), own);
-            over.picture(corner, shown, &self.flipped(pane, reference)?, own);
-        }
-        self.write(&mut over);
-        Ok(over)
-    }
-
-    fn write(&self, over: &mut Raster) {
-        let scale = letters(PhysicalSize::new(over.width, over.height));
-        let margin = (4 * scale) as i32;
-        if let Some(profile) = &self.profile {
-            let size = (PANEL.0 * scale, (PANEL.1 * scale).min(over.height));
-            over.place((over.width as i32 - size.0 as i32, 0), &profile.draw(size, scale));
-        }
-        if self.is_written {
-            let (name, map) = &self.show.maps[self.map];
-            let mut lines = words::facts(name, map);
-            lines.push(String::new());
-            lines.extend(words::seen(&self.view(), self.of().as_deref(), self.is_floor_lit));
-            let keys = words::keys();
-            let (_, high) = text_size(&keys, scale);
-            over.note((margin, margin), scale, &lines);
-            over.note((margin, over.height as i32 - high as i32 - 3 * margin), scale, &keys);
-        }
-        if self.step.is_some() && self.face == Face::Difference && self.show.view.look.false_colour {
-            let corner = (over.width as i32 - 352, over.height as i32 - 16);
-            over.fill((corner.0 - 4, corner.1 - 4), (356, 20), DIM);
-            self::scale(over, corner);
-        }
-    }
-
-    fn draw(&mut self) -> Result<()> {
-        let Some(pane) = &self.pane else { return Ok(()) };
-        pane.title(&format!("rigel view: {}", self.show.maps[self.map].0));
-        let view = self.step.is_none().then(|| self.view());
-        pane.draw(view.as_ref(), &self.overlay(pane)?)?;
-        if std::mem::take(&mut self.show.at_once) {
-            let path = self.show.screenshot.clone();
-            self.screenshot(&path)?;
-        }
-        Ok(())
-    }
-
-    /// Which picture of which photographed view is shown.
-    fn of(&self) -> Option<String> {
-        let (index, reference) = self.step.as_ref()?;
-        let face = match self.face {
-            Face::Photograph => "photograph",
-            Face::Reconstruction => "reconstruction",
-            Face::Difference if self.show.view.look.false_colour => "difference",
-            Face::Difference => "difference x 4",
-        };
-        Some(format!("{face} {} ({} of {})", reference.name, index + 1, self.show.photographs))
-    }
-
-    /// Writes what is seen.
-    fn screenshot(&self, path: &Path) -> Result<()> {
-        let Some(pane) = &self.pane else { return Ok(()) };
-        let (size, over) = (pane.size(), self.overlay(pane)?);
-        let levels = match &self.step {
-            None => over.on(pane.picture(&self.view())?),
-            Some(_) => over.levels(),
-        };
-        file::write_bytes(path, &png(size.width, size.height, levels.as_flattened())?)
     }
 
     fn step(&mut self, by: usize) -> Result<()> {
@@ -312,6 +194,24 @@ impl App {
         Ok(())
     }
 
+    fn next_map(&mut self) -> Result<()> {
+        let before = self.show.maps[self.map].1.texels;
+        self.map = (self.map + 1) % self.show.maps.len();
+        let after = self.show.maps[self.map].1.texels;
+        // The same place, on a map that may be finer or coarser.
+        let scaled = |at: u32, from: u32, to: u32| {
+            ((u64::from(at) * 2 + 1) * u64::from(to) / (2 * u64::from(from))) as u32
+        };
+        self.show.texel = self.show.texel.map(|(column, row)| {
+            (scaled(column, before.columns, after.columns), scaled(row, before.rows, after.rows))
+        });
+        if let Some(pane) = &mut self.pane {
+            pane.load(&self.show.maps[self.map].1)?;
+        }
+        self.light_floor();
+        self.look_at_texel()
+    }
+
     fn light_floor(&mut self) {
         let floor = self.is_floor_lit.then(|| Floor::lit_by(&self.show.maps[self.map].1));
         if let Some(pane) = &mut self.pane {
@@ -322,153 +222,6 @@ impl App {
     fn click(&mut self) -> Result<()> {
         self.show.texel = self.texel_at(self.pointer);
         self.look_at_texel()
-    }
-
-    /// Does what a key is for; false ends the window.
-    fn key(&mut self, key: &Key) -> Result<bool> {
-        let look = &mut self.show.view.look;
-        match key.as_ref() {
-            Key::Named(NamedKey::ArrowLeft) => self.turn(-0.05, 0.0),
-            Key::Named(NamedKey::ArrowRight) => self.turn(0.05, 0.0),
-            Key::Named(NamedKey::ArrowUp) => self.turn(0.0, -0.05),
-            Key::Named(NamedKey::ArrowDown) => self.turn(0.0, 0.05),
-            Key::Named(NamedKey::Escape) | Key::Character("q") => return Ok(false),
-            Key::Named(NamedKey::Space) => {
-                self.face = match self.face {
-                    Face::Photograph => Face::Reconstruction,
-                    Face::Reconstruction => Face::Difference,
-                    Face::Difference => Face::Photograph,
-                }
-            }
-            Key::Character("+" | "=") => self.zoom(0.9),
-            Key::Character("-") => self.zoom(1.0 / 0.9),
-            Key::Character("[") => look.gamma /= 1.1,
-            Key::Character("]") => look.gamma *= 1.1,
-            Key::Character("f") => look.false_colour = !look.false_colour,
-            Key::Character("h") => self.is_written = !self.is_written,
-            Key::Character("0") => (self.pose, self.step) = (self.show.view.pose, None),
-            Key::Character("n") => self.step(1)?,
-            Key::Character("p") => self.step(self.show.photographs.saturating_sub(1))?,
-            Key::Character("s") => self.screenshot(&unused(&self.show.screenshot))?,
-            Key::Character("l") => {
-                self.is_floor_lit = !self.is_floor_lit;
-                self.light_floor();
-            }
-            Key::Character("r") => {
-                let most = self.pane.as_ref().map_or(MOST_HALVINGS, Pane::most_halvings).min(MOST_HALVINGS);
-                self.show.view.halvings = (self.show.view.halvings + 1) % (most + 1);
-            }
-            Key::Character("x") => {
-                let shading = &mut self.show.view.shading;
-                *shading = match shading {
-                    Shading::Automatic => Shading::ByPixel,
-                    Shading::ByPixel => Shading::ByTexel,
-                    Shading::ByTexel => Shading::Automatic,
-                }
-            }
-            Key::Character("m") => {
-                let before = self.show.maps[self.map].1.texels;
-                self.map = (self.map + 1) % self.show.maps.len();
-                let after = self.show.maps[self.map].1.texels;
-                // The same place, on a map that may be finer or coarser.
-                let scaled = |at: u32, from: u32, to: u32| {
-                    ((u64::from(at) * 2 + 1) * u64::from(to) / (2 * u64::from(from))) as u32
-                };
-                self.show.texel = self.show.texel.map(|(column, row)| {
-                    (scaled(column, before.columns, after.columns), scaled(row, before.rows, after.rows))
-                });
-                if let Some(pane) = &mut self.pane {
-                    pane.load(&self.show.maps[self.map].1)?;
-                }
-                self.light_floor();
-                self.look_at_texel()?;
-            }
-            _ => {}
-        }
-        Ok(true)
-    }
-
-    /// What went wrong ends the window and is told.
-    fn heed(&mut self, result: Result<()>, events: &ActiveEventLoop) {
-        match result {
-            Err(error) => {
-                self.failed = Some(error);
-                events.exit();
-            }
-            Ok(()) => {
-                if let Some(pane) = &self.pane {
-                    pane.ask_to_draw();
-                }
-            }
-        }
-    }
-}
-
-impl ApplicationHandler for App {
-    fn resumed(&mut self, events: &ActiveEventLoop) {
-        if self.pane.is_some() {
-            return;
-        }
-        let size = PhysicalSize::new(self.show.view.lens.width, self.show.view.lens.height);
-        let window =
-            events.create_window(Window::default_attributes().with_title("rigel").with_inner_size(size));
-        let opened = window
-            .map_err(|error| no_display(&error))
-            .and_then(|window| Pane::new(Arc::new(window), &self.show.maps[self.map].1));
-        let result = opened.map(|pane| self.pane = Some(pane));
-        self.heed(result, events);
-    }
-
-    fn window_event(&mut self, events: &ActiveEventLoop, _: WindowId, event: WindowEvent) {
-        match event {
-            WindowEvent::CloseRequested => events.exit(),
-            WindowEvent::RedrawRequested => {
-                if let Err(error) = self.draw() {
-                    self.heed(Err(error), events);
-                }
-            }
-            WindowEvent::Resized(size) => {
-                if let Some(pane) = &mut self.pane {
-                    pane.resize(size);
-                }
-                self.heed(Ok(()), events);
-            }
-            WindowEvent::KeyboardInput { event, .. } if event.state == ElementState::Pressed => {
-                let result = self.key(&event.logical_key);
-                if let Ok(false) = result {
-                    events.exit();
-                }
-                self.heed(result.map(drop), events);
-            }
-            WindowEvent::MouseInput { state, button: MouseButton::Left, .. } => {
-                let was_pressed = self.pressed.take();
-                if state == ElementState::Pressed {
-                    self.pressed = Some((self.pointer, false));
-                } else if let Some((_, false)) = was_pressed {
-                    let result = self.click();
-                    self.heed(result, events);
-                }
-            }
-            WindowEvent::CursorMoved { position, .. } => {
-                let (x, y) = std::mem::replace(&mut self.pointer, (position.x, position.y));
-                let Some((from, is_dragged)) = self.pressed else { return };
-                let off_px = (position.x - from.0).hypot(position.y - from.1);
-                if is_dragged || off_px > CLICK_PX {
-                    self.pressed = Some((from, true));
-                    self.turn(0.008 * (x - position.x), 0.008 * (y - position.y));
-                    self.heed(Ok(()), events);
-                }
-            }
-            WindowEvent::MouseWheel { delta, .. } => {
-                let lines = match delta {
-                    MouseScrollDelta::LineDelta(_, lines) => f64::from(lines),
-                    MouseScrollDelta::PixelDelta(pixels) => pixels.y / 40.0,
-                };
-                self.zoom(0.9f64.powf(lines));
-                self.heed(Ok(()), events);
-            }
-            _ => {}
-        }
     }
 }
 

@@ -1,9 +1,12 @@
-#![expect(clippy::unwrap_used, reason = "a test's helpers panic as a test does")]
-
+use super::draw::unused;
 use super::*;
+use crate::raster::Raster;
+use crate::scene::Shading;
 use rigel::fit::Model;
-use rigel::geometry::{Lens, Surface, Texels};
+use rigel::geometry::{Surface, Texels};
 use rigel::radiance::RadianceImage;
+use rigel::shader::Look;
+use winit::keyboard::{Key, NamedKey};
 
 const TEXELS: Texels = Texels { columns: 16, rows: 12 };
 
