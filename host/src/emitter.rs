@@ -142,18 +142,24 @@ mod tests {
     }
 
     #[test]
-    fn a_lobe_lights_the_side_that_it_leans_to() {
-        // Down and to the right, onto the floor.
-        let axis = DVec3::new(0.5, -0.5, 0.7).normalize().as_vec3();
-        let lobe = [0.01, 0.01, 0.01, 1.0, 1.0, 1.0, 20.0, axis.x, axis.y, axis.z];
-        let map = map(Texels { columns: 16, rows: 12 }, vec![Model::Phong { lobes: 1 }], &lobe);
-        let floor = Floor::lit_by(&map);
-        let (columns, rows) = floor.points;
-        let half = |right: bool| {
-            let is = |i: &usize| (i % columns >= columns / 2) == right;
-            (0..columns * rows).filter(is).map(|i| f64::from(floor.radiance[i][0])).sum::<f64>()
+    fn a_lobe_lights_the_side_that_it_leans_to_and_its_mirror_image_the_other() {
+        // Down onto the floor, and to one side.
+        let lit = |side: f32| {
+            let axis = glam::Vec3::new(side, -0.5, 0.7).normalize();
+            let lobe = [0.01, 0.01, 0.01, 1.0, 1.0, 1.0, 20.0, axis.x, axis.y, axis.z];
+            Floor::lit_by(&map(Texels { columns: 16, rows: 12 }, vec![Model::Phong { lobes: 1 }], &lobe))
         };
-        assert!(half(true) > 3.0 * half(false), "{} {}", half(true), half(false));
+        let (right, left) = (lit(0.5), lit(-0.5));
+        let (columns, rows) = right.points;
+        let half = |is_right: bool| {
+            let is = |i: &usize| (i % columns >= columns / 2) == is_right;
+            (0..columns * rows).filter(is).map(|i| f64::from(right.radiance[i][0])).sum::<f64>()
+        };
+        assert!(half(true) > 2.0 * half(false), "{} {}", half(true), half(false));
+        for i in 0..columns * rows {
+            let mirrored = left.radiance[i / columns * columns + columns - 1 - i % columns][0];
+            assert!((right.radiance[i][0] - mirrored).abs() <= 1e-4 * mirrored, "{i}");
+        }
     }
 
     #[test]
