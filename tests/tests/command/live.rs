@@ -15,7 +15,7 @@ use rigel_simulated::tour::Tour;
 
 use common::{assert_refused, rigel};
 
-const SMALL: [&str; 4] = ["--size", "128x64", "--fov", "67.4"];
+const SMALL: [&str; 4] = ["--size", "512x256", "--fov", "67.4"];
 
 fn tour() -> Tour {
     Tour {
