@@ -62,11 +62,14 @@ pub struct Place {
     pub gained: f64,
 }
 
+/// How photographs become a map, of which the lens counts, for the first of them.
+type OptionsOf<'a> = dyn Fn(&Path) -> Result<Options> + 'a;
+
 /// A folder that fills.
 pub struct Live<'a> {
     folder: PathBuf,
     tracking: Tracking,
-    options: Box<dyn Fn(&Path) -> Result<Options> + 'a>,
+    options: Box<OptionsOf<'a>>,
     wanted: Wanted,
     /// What says which photographs there are, where somebody else writes it.
     table: Option<PathBuf>,
@@ -141,7 +144,7 @@ impl<'a> Live<'a> {
         let beside = folder.join("tracker.jsonl");
         let records = tracking.file.clone().or_else(|| beside.exists().then_some(beside));
         if let Some(records) =
-            records.as_ref().filter(|file| !file.extension().is_some_and(|kind| kind == "jsonl"))
+            records.as_ref().filter(|file| file.extension().is_none_or(|kind| kind != "jsonl"))
         {
             let remedy = "give the tracker.jsonl that a capture writes";
             return Err(Error::input(records, "cannot be followed while it grows", remedy));
