@@ -191,8 +191,9 @@ fn orientations_two_degrees_off_come_back_and_the_loop_closes() {
     let made = mosaic(&shots, &options(true), &Silent).unwrap();
     let off = apart_rad(&made, &truth);
     let rms = (off.iter().map(|off| off * off).sum::<f64>() / off.len() as f64).sqrt().to_degrees();
-    println!("RMS {rms:.3} degrees");
-    assert!(rms < 0.1, "{rms} degrees");
+    println!("RMS {rms:.3} degrees, residual {:.3} pixels", made.residual_rad * LENS.2);
+    // Corners alone leave 0.02.
+    assert!(rms < 0.006, "{rms} degrees");
 }
 
 #[test]

@@ -4,7 +4,7 @@ use glam::{DQuat, DVec2, DVec3};
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix3x2, Vector3};
 use rayon::prelude::*;
 
-use super::features::{Corners, Gray, matches};
+use super::features::{Corners, Gray, aligned, matches};
 use super::tracked::Pair;
 use crate::Result;
 use crate::geometry::Lens;
@@ -105,7 +105,11 @@ pub(super) fn align(
                 // From all over the picture, as corners are counted cell by cell.
                 let most = kept.len().min(MOST);
                 let kept = (0..most).map(|k| kept[k * kept.len() / most]);
-                Ok(kept.map(|k| Match { frames: [i, j], at: pairs[k] }).collect())
+                let exact = |[a, b]: [DVec2; 2]| {
+                    // Only from the second search on are the orientations good enough for it.
+                    if search == 0 { [a, b] } else { [aligned((&grays[i], a), (&grays[j], b), turn), b] }
+                };
+                Ok(kept.map(|k| Match { frames: [i, j], at: exact(pairs[k]) }).collect())
             })
             .collect::<Result<_>>()?;
         let all: Vec<Match> = found.into_iter().flatten().collect();
