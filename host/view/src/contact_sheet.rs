@@ -79,7 +79,9 @@ pub fn contact_sheet(
     let look = Look { false_colour: false, ..view.look };
     let (left, _) = text_size(&ROWS.map(str::to_owned), 1);
     let (left, top) = (left + 2 * GAP, 2 * LINE + 2 * GAP);
-    let across = left + count as u32 * (tile.columns + GAP);
+    // No narrower than its label above it.
+    let pitch = SIDE + GAP;
+    let across = left + count as u32 * pitch;
     let mut sheet = Raster::new(across.max(left + 300), top + 3 * (tile.rows + GAP) + 2 * LINE + GAP);
     sheet.fill((0, 0), (sheet.width, sheet.height), GROUND);
     for (row, name) in ROWS.iter().enumerate() {
@@ -95,7 +97,7 @@ pub fn contact_sheet(
         let photograph = photograph(&reference, &look);
         let flipped = flipped(map, &reference, &photograph, &reconstruction)?;
 
-        let x = (left + column as u32 * (tile.columns + GAP)) as i32;
+        let x = (left + column as u32 * pitch) as i32;
         let seen = |levels: &[[u8; 3]]| on_the_surface(map, &reference, levels, tile);
         let (above, below) = (seen(&photograph), seen(&reconstruction));
         let measured = reference.radiance.mask.iter().map(|mask| [if *mask == 0 { 255 } else { 0 }; 3]);

@@ -29,7 +29,8 @@ pub enum Shift {
 
 /// By how many pixels `photograph` is shifted against `reconstruction`, where `counts` says that both show the
 /// surface: the least sum of squares after a gain and an offset between them are allowed for, in which pixels count the less the farther
-/// they are off (a highlight that the model does not know is no shift).
+/// they are off (a highlight that the model does not know is no shift). It is looked for from none on: a pattern that repeats matches at
+/// its nearest repetition.
 pub fn shift_px(photograph: &[[u8; 3]], reconstruction: &[[u8; 3]], lens: &Lens, counts: &[bool]) -> Shift {
     let (width, height) = (lens.width as usize, lens.height as usize);
     let grey = |pixel: &[u8; 3]| pixel.iter().map(|level| f64::from(*level)).sum::<f64>() / 3.0;
