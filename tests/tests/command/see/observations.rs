@@ -88,6 +88,11 @@ fn what_is_no_observations_is_not_exported_and_a_folder_of_another_kind_stays() 
     std::fs::create_dir(folder.path().join("foreign.zarr")).unwrap();
     std::fs::write(folder.path().join("foreign.zarr/.zgroup"), "{\"zarr_format\": 2}").unwrap();
     std::fs::write(folder.path().join("foreign.zarr/.zattrs"), "{\"made_by\": \"another\"}").unwrap();
+    // A name of as many bytes, which OpenEXR cannot hold.
+    let mut observations = std::fs::read(folder.path().join("session/observations.rigel")).unwrap();
+    let name = observations.windows(9).position(|bytes| bytes == b"\"view000\"").unwrap();
+    observations[name..name + 9].copy_from_slice("\"viewΩ0\"".as_bytes());
+    std::fs::write(folder.path().join("omega.rigel"), observations).unwrap();
     let before = snapshot(folder.path());
     assert_refused(
         "info",
@@ -102,6 +107,7 @@ fn what_is_no_observations_is_not_exported_and_a_folder_of_another_kind_stays() 
         (vec!["session", "session", "--exr", "a.exr"], vec!["2 files", "name one"]),
         (vec!["session", "--zarr", "mine.zarr", "--force"], vec!["mine.zarr", "no Zarr store"]),
         (vec!["session", "--zarr", "foreign.zarr", "--force"], vec!["foreign.zarr", "no Zarr store"]),
+        (vec!["omega.rigel", "--exr", "a.exr"], vec!["viewΩ0", "--zarr"]),
         (vec!["session", "--exr", "none/a.exr"], vec!["a.exr", "check the path"]),
     ] {
         let what = arguments.join(" ");
