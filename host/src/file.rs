@@ -14,10 +14,36 @@ use crate::{Error, Result};
 /// # Errors
 /// Whatever `write` returns, or the failure to rename; then the temporary file is removed and what stood at `path` is untouched.
 pub fn write_beside(path: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
+    write_and_move(path, write, |temporary| fs::rename(temporary, path))
+}
+
+/// The same for a folder, which replaces a folder at `path`: that is only moved away once the new one is whole, and deleted once
+/// the new one is in its place. Whoever asks for this has made sure that the old one may go.
+///
+/// # Errors
+/// As [`write_beside`].
+pub(crate) fn replace_folder(path: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
+    let old = beside(path, "rigel-old");
+    write_and_move(path, write, |temporary| {
+        if !path.exists() {
+            return fs::rename(temporary, path);
+        }
+        fs::rename(path, &old)?;
+        // What stood there comes back where the new one does not get there.
+        fs::rename(temporary, path).inspect_err(|_| drop(fs::rename(&old, path)))
+    })?;
+    if old.exists() { fs::remove_dir_all(&old).map_err(Error::io("delete", &old)) } else { Ok(()) }
+}
+
+fn write_and_move(
+    path: &Path,
+    write: impl FnOnce(&Path) -> Result<()>,
+    move_to_place: impl FnOnce(&Path) -> std::io::Result<()>,
+) -> Result<()> {
     let temporary = temporary_for(path);
     let finished = write(&temporary)
         .and_then(|()| sync(&temporary).map_err(Error::io("write", path)))
-        .and_then(|()| fs::rename(&temporary, path).map_err(Error::io("write", path)))
+        .and_then(|()| move_to_place(&temporary).map_err(Error::io("write", path)))
         .and_then(|()| sync_folder_of(path).map_err(Error::io("write", path)));
     if finished.is_err() {
         remove(&temporary);
@@ -130,8 +156,12 @@ pub fn write_together(folder: &Path, files: &[(String, Vec<u8>)]) -> Result<()> 
 }
 
 fn temporary_for(path: &Path) -> PathBuf {
+    beside(path, "rigel-tmp")
+}
+
+fn beside(path: &Path, extension: &str) -> PathBuf {
     let mut name = path.file_name().unwrap_or_default().to_os_string();
-    name.push(format!(".{}.rigel-tmp", std::process::id()));
+    name.push(format!(".{}.{extension}", std::process::id()));
     path.with_file_name(name)
 }
 
@@ -150,6 +180,31 @@ mod tests {
         });
         assert!(failed.is_err());
         assert_eq!(fs::read(&path).unwrap(), b"before");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_folder_is_replaced_as_a_whole_or_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("store");
+        let make = |name: &'static str| {
+            move |temporary: &Path| {
+                fs::create_dir(temporary).unwrap();
+                fs::write(temporary.join(name), name).unwrap();
+                Ok(())
+            }
+        };
+        let held =
+            || fs::read_dir(&path).unwrap().map(|entry| entry.unwrap().file_name()).collect::<Vec<_>>();
+        replace_folder(&path, make("first")).unwrap();
+        let failed = replace_folder(&path, |temporary| {
+            make("second")(temporary)?;
+            Err(Error::Interrupted)
+        });
+        assert!(failed.is_err());
+        assert_eq!(held(), ["first"]);
+        replace_folder(&path, make("third")).unwrap();
+        assert_eq!(held(), ["third"]);
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 

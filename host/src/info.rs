@@ -84,12 +84,7 @@ const TABLES: [(&str, &str); 10] = [
 /// [`Error::Io`] when it cannot be read; [`Error::Input`] when it is damaged, or nothing that Rigel writes.
 pub fn info(path: &Path) -> Result<Info> {
     if zarr::is_store(path) {
-        let facts = ["radiance and sigma as arrays, with their axes", "open it with zarr or xarray"];
-        return Ok(Info {
-            kind: Kind::Exchange,
-            title: "a Zarr store, such as `rigel export --zarr` writes".into(),
-            facts: facts.map(str::to_owned).into(),
-        });
+        return store(path);
     }
     if path.is_dir() {
         return session(path);
@@ -149,6 +144,24 @@ pub fn info(path: &Path) -> Result<Info> {
         "is nothing that Rigel writes",
         "give a session, a map (.exr), observations.rigel, lens.toml, registration.toml, a table or a page",
     ))
+}
+
+fn store(path: &Path) -> Result<Info> {
+    let about = zarr::attributes(path).ok_or_else(|| {
+        Error::input(path, "is a Zarr store, but none that Rigel wrote", "open it with zarr or xarray")
+    })?;
+    let views: Vec<&str> =
+        about["views"].as_array().into_iter().flatten().filter_map(|v| v.as_str()).collect();
+    let mut facts = vec![
+        format!("{} views{}", views.len(), ends(views.into_iter())),
+        "radiance and sigma as arrays, with their axes; open it with zarr or xarray".into(),
+    ];
+    facts.extend(about[zarr::MADE_BY].as_str().map(|name| format!("made by {name}")));
+    Ok(Info {
+        kind: Kind::Exchange,
+        title: "observations: radiance of every texel, a Zarr store".into(),
+        facts,
+    })
 }
 
 fn lines(path: &Path) -> Result<usize> {
@@ -254,7 +267,7 @@ fn open_exr(path: &Path) -> Result<Info> {
         let masked = image.mask.iter().filter(|mask| **mask != 0).count();
         let mut facts = vec![
             size,
-            "uncompressed: noise hardly gets smaller".into(),
+            format!("stored with {}", header.compression),
             format!("{:.2} % of the pixels masked", 100.0 * masked as f64 / image.mask.len().max(1) as f64),
         ];
         facts.extend(text("rigelResponse").map(|response| format!("response: {response}")));

@@ -4,7 +4,7 @@ mod coverage;
 mod exchange;
 mod facts;
 mod fitted;
-mod memory;
+pub(crate) mod memory;
 mod resolution;
 mod selected;
 

@@ -14,6 +14,7 @@ use rayon::prelude::*;
 
 use crate::geometry::Texels;
 use crate::parameter_map::ParameterMap;
+use crate::parameter_map::memory::require;
 use crate::progress::Progress;
 use crate::render::expose;
 use crate::sampling::spiral;
@@ -41,6 +42,8 @@ const MIDDLE: f32 = 0.5;
 /// So many splats at the border are not judged, and so many along each side are.
 const BORDER: u32 = 4;
 const TRIED: usize = 128;
+/// The bytes of a splat in the file: 62 numbers.
+const RECORD: usize = 4 * 62;
 /// Of the function of degree 0.
 const Y0: f32 = 0.282_094_8;
 
@@ -56,8 +59,8 @@ pub struct Splats {
     /// What 95 % of the levels are within.
     pub most_255: f64,
     /// What overlap costs beside: mean absolute difference between the harmonics' levels and those that overlapping splats show, of
-    /// 255, at and between the texels.
-    pub overlap_255: f64,
+    /// 255, at and between the texels; `None` where the map is too narrow to judge it.
+    pub overlap_255: Option<f64>,
 }
 
 /// The real spherical harmonics up to degree 3 with the format's signs, of a unit vector.
@@ -101,11 +104,17 @@ fn solver(basis: &DMatrix<f32>) -> Result<DMatrix<f32>> {
 /// Makes splats of a map as it looks when exposed with `gamma` (1 - exp(-gamma radiance)). `progress` counts rows of texels.
 ///
 /// # Errors
-/// [`Error::Request`] when `gamma` is not a positive number; [`Error::Interrupted`].
+/// [`Error::Request`] when `gamma` is not a positive number, or the memory does not suffice; [`Error::Interrupted`].
 pub fn splats(map: &ParameterMap, gamma: f32, progress: &dyn Progress) -> Result<Splats> {
     if !gamma.is_finite() || gamma <= 0.0 {
         return Err(Error::request(format!("gamma = {gamma} exposes nothing"), "give a positive number"));
     }
+    let parts = (1..=3u32)
+        .rev()
+        .find(|parts| (parts * parts) as usize * map.texels.count() <= MOST_SPLATS)
+        .unwrap_or(1);
+    let each = size_of::<Harmonics>();
+    require(map.texels, each + (parts * parts) as usize * (each + RECORD))?;
     let directions: Vec<Vec3> = spiral(DIRECTIONS, ZENITH_LIMIT_DEG.to_radians())?
         .iter()
         .map(|direction| direction.as_vec3())
@@ -148,8 +157,6 @@ pub fn splats(map: &ParameterMap, gamma: f32, progress: &dyn Progress) -> Result
         seen += bin;
         seen as f64 >= 0.95 * levels as f64
     });
-    let parts =
-        (1..=3u32).rev().find(|parts| (parts * parts) as usize * wanted.len() <= MOST_SPLATS).unwrap_or(1);
     let grid = Grid { texels: map.texels, parts, wanted };
     let fine = grid.fine();
     let pitch_m = DVec2::new(map.surface.width_m, map.surface.height_m)
@@ -167,6 +174,7 @@ pub fn splats(map: &ParameterMap, gamma: f32, progress: &dyn Progress) -> Result
     let scale = pitch_m.to_array().map(|pitch_m| (SIGMA * pitch_m).ln() as f32);
     let thin = scale[0].min(scale[1]) + FLATNESS.ln() as f32;
     let mut ply = header(splats.len()).into_bytes();
+    ply.reserve_exact(RECORD * splats.len());
     for (index, harmonics) in splats.iter().enumerate() {
         let (column, row) = (index as u32 % fine.columns, index as u32 / fine.columns);
         let mut values = map.surface.texel_centre(fine, column, row).as_vec3().to_array().to_vec();
@@ -215,8 +223,9 @@ impl Grid {
         blend(at.fract()).into_iter().map(|(step, share)| texel(step) * share as f32).sum()
     }
 
-    /// Mean absolute difference between what is to be seen and what the splats show, of 255, where the surface goes on all around.
-    fn difference_255(&self, splats: &[Harmonics], overlap: &Overlap, directions: &[Vec3]) -> f64 {
+    /// Mean absolute difference between what is to be seen and what the splats show, of 255, where the surface goes on all
+    /// around; `None` where it does so nowhere.
+    fn difference_255(&self, splats: &[Harmonics], overlap: &Overlap, directions: &[Vec3]) -> Option<f64> {
         let fine = self.fine();
         let inner = |side: u32| (BORDER..side.saturating_sub(BORDER)).step_by((side as usize / TRIED).max(1));
         let (mut sum, mut count) = (0.0, 0);
@@ -241,7 +250,7 @@ impl Grid {
             sum += (0..3).map(|c| 255.0 * (seen[c] - wanted[c]).abs()).sum::<f64>() / 3.0;
             count += 1;
         }
-        sum / (count as f64).max(1.0)
+        (count > 0).then(|| sum / count as f64)
     }
 }
 

@@ -44,10 +44,17 @@ impl ObservationMap {
             channels.extend((0..4).map(|part| (name(part), Channel { view: Some(view), part })));
         }
         channels.sort_by(|(a, _), (b, _)| a.cmp(b));
-        let described = |name: &str| ChannelDescription::named(name, SampleType::F32);
+        let described = |name: &String| {
+            let text = Text::new_or_none(name).ok_or_else(|| {
+                let what =
+                    format!("the view of the channel {name} has letters that OpenEXR's names cannot hold");
+                Error::input(path, what, "rename the view, or write them with --zarr")
+            })?;
+            Ok(ChannelDescription::named(text, SampleType::F32))
+        };
         let list: SmallVec<[ChannelDescription; 5]> =
-            channels.iter().map(|(name, _)| described(name)).collect();
-        let json = serde_json::to_string(header).expect("a header is plain data");
+            channels.iter().map(|(name, _)| described(name)).collect::<Result<_>>()?;
+        let json = plain(&serde_json::to_string(header).expect("a header is plain data"));
         let mut attributes = LayerAttributes { comments: Some(MEANING.into()), ..LayerAttributes::default() };
         attributes.software_name = Some(concat!("rigel ", env!("CARGO_PKG_VERSION")).into());
         attributes.other.insert(Text::from(KIND), AttributeValue::Text(json.as_str().into()));
@@ -83,6 +90,20 @@ impl ObservationMap {
             }
         })
     }
+}
+
+/// JSON in ASCII: what else a string holds becomes an escape.
+fn plain(json: &str) -> String {
+    let mut units = [0; 2];
+    json.chars().fold(String::with_capacity(json.len()), |mut text, letter| {
+        match letter.is_ascii() {
+            true => text.push(letter),
+            false => {
+                letter.encode_utf16(&mut units).iter().for_each(|unit| text += &format!("\\u{unit:04x}"))
+            }
+        }
+        text
+    })
 }
 
 /// One row of tiles, decoded.
@@ -127,5 +148,17 @@ impl Strip {
         }
         let start = (row - self.first_row) * length;
         Ok(bytemuck::cast_slice(&self.values[start..start + length]).to_vec())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn json_in_ascii_means_the_same() {
+        let told = serde_json::to_string(&["Ωmega 𝄞", "plain \\ \"é\""]).unwrap();
+        let plain = super::plain(&told);
+        assert!(plain.is_ascii() && plain != told);
+        let read = |json: &str| serde_json::from_str::<Vec<String>>(json).unwrap();
+        assert_eq!(read(&plain), read(&told));
     }
 }

@@ -1,6 +1,7 @@
 //! Observations for programs that read arrays: a Zarr store (version 2), a folder with a file for each chunk.
 
 use std::fs;
+use std::io::Write;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -8,7 +9,7 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 
 use super::ObservationMap;
-use crate::file::write_beside;
+use crate::file::{replace_folder, sync_folder_of};
 use crate::progress::Progress;
 use crate::{Error, Result};
 
@@ -16,6 +17,8 @@ use crate::{Error, Result};
 const GROUP: &str = ".zgroup";
 const ARRAY: &str = ".zarray";
 const ATTRIBUTES: &str = ".zattrs";
+/// The attribute that tells these stores from those of other programs.
+pub(crate) const MADE_BY: &str = "made_by";
 /// Of zlib: the fastest that compresses; noise does not get much smaller.
 const LEVEL: u8 = 1;
 const ORDER: char = if cfg!(target_endian = "big") { '>' } else { '<' };
@@ -27,18 +30,26 @@ pub(crate) fn is_store(path: &Path) -> bool {
     path.join(GROUP).is_file()
 }
 
+/// A store's attributes, where Rigel has written it.
+pub(crate) fn attributes(path: &Path) -> Option<Value> {
+    let bytes = fs::read(path.join(ATTRIBUTES)).ok().filter(|_| is_store(path))?;
+    let about: Value = serde_json::from_slice(&bytes).ok()?;
+    let is_ours = about[MADE_BY].as_str().is_some_and(|name| name.starts_with("rigel "));
+    is_ours.then_some(about)
+}
+
 impl ObservationMap {
     /// Writes a Zarr store (version 2, zlib): `radiance` (row, column, view, channel) and `sigma` (row, column, view) as 32-bit floats,
     /// not a number where a view measured nothing, a tile of the map in each chunk; `centre` (view, axis; metres), `x` (column) and `y`
-    /// (row; metres) as 64-bit floats; names and units as attributes. A store that stands there is replaced. `progress` counts tiles.
+    /// (row; metres) as 64-bit floats; names and units as attributes. Such a store is replaced where it stands there. `progress` counts tiles.
     ///
     /// # Errors
     /// [`Error::Input`] when something else stands there; [`Error::Io`]; [`Error::Interrupted`].
     pub fn write_zarr(&self, path: &Path, progress: &dyn Progress) -> Result<()> {
-        if path.exists() && !is_store(path) {
+        if path.exists() && attributes(path).is_none() {
             return Err(Error::input(
                 path,
-                "is there already, and is no Zarr store",
+                "is there already, and is no Zarr store that Rigel wrote",
                 "choose another name, or delete it",
             ));
         }
@@ -48,14 +59,14 @@ impl ObservationMap {
         let (all, chunk) = (size(texels.columns, texels.rows), size(tile.columns, tile.rows));
         let names: Vec<&str> = header.views.iter().map(|view| view.name.as_str()).collect();
         let about = json!({
-            "made_by": concat!("rigel ", env!("CARGO_PKG_VERSION")),
+            MADE_BY: concat!("rigel ", env!("CARGO_PKG_VERSION")),
             "about": "what each view measured of each texel of a surface: x right, y up, z out of it; row 0 is the top one",
             "surface_m": [header.surface.width_m, header.surface.height_m],
             "views": names,
         });
         let centres = header.views.iter().flat_map(|view| view.centre_m.to_array()).collect();
         let centre = |column, row| header.surface.texel_centre(texels, column, row);
-        write_beside(path, |folder| {
+        replace_folder(path, |folder| {
             let store = Store { folder, path };
             store.make("")?;
             store.json(GROUP, &json!({ "zarr_format": 2 }))?;
@@ -107,10 +118,10 @@ impl ObservationMap {
                 store.chunk(&format!("sigma/{}.{}.0", at[0], at[1]), &sigma)
             })?;
             progress.step(tiles.count(), tiles.count())?;
-            if is_store(path) {
-                fs::remove_dir_all(path).map_err(Error::io("replace", path))?;
-            }
-            Ok(())
+            // The names of the files in each folder.
+            [GROUP, "radiance/0", "sigma/0", "centre/0", "x/0", "y/0", "gain/0"]
+                .iter()
+                .try_for_each(|name| sync_folder_of(&folder.join(name)).map_err(Error::io("write", path)))
         })
     }
 
@@ -144,7 +155,9 @@ impl Store<'_> {
     }
 
     fn file(&self, name: &str, bytes: &[u8]) -> Result<()> {
-        fs::write(self.folder.join(name), bytes).map_err(Error::io("write", self.path.join(name)))
+        let written = fs::File::create(self.folder.join(name))
+            .and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync_all()));
+        written.map_err(Error::io("write", self.path.join(name)))
     }
 
     fn json(&self, name: &str, value: &Value) -> Result<()> {

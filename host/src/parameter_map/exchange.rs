@@ -127,7 +127,10 @@ impl ParameterMap {
         if let Some(diagnostics) =
             self.diagnostics.as_ref().filter(|diagnostics| !diagnostics.seen.is_empty())
         {
-            let names = Text::from(diagnostics.seen.join(",").as_str());
+            let names = Text::new_or_none(diagnostics.seen.join(",")).ok_or_else(|| {
+                let what = "the views' names have letters that OpenEXR cannot hold";
+                Error::input(path, what, "rename the views in the session")
+            })?;
             attributes.other.insert(Text::from(SEEN), AttributeValue::Text(names));
         }
         if let Some(zenith_rad) = self.diagnostics.as_ref().and_then(|diagnostics| diagnostics.zenith_rad) {
@@ -435,6 +438,9 @@ mod tests {
         let back = ParameterMap::read(&path).unwrap();
         assert_eq!((&back.models, &back.choice), (&mixed.models, &mixed.choice));
         assert_eq!(back.diagnostics, mixed.diagnostics);
+        // OpenEXR's text is Latin-1.
+        mixed.diagnostics.as_mut().unwrap().seen = vec!["Ωmega".into()];
+        assert!(mixed.write(&path).is_err_and(|error| error.to_string().contains("names")));
         assert_eq!(back.uncertainty, mixed.uncertainty);
         let direction = Vec3::new(0.0, 0.6, 0.8);
         let (model, parameters) = mixed.texel(1, 0);

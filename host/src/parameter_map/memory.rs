@@ -7,7 +7,7 @@ use crate::{Error, Result};
 ///
 /// # Errors
 /// [`Error::Request`] with both numbers when the system says that it has less.
-pub(super) fn require(texels: Texels, bytes: usize) -> Result<()> {
+pub(crate) fn require(texels: Texels, bytes: usize) -> Result<()> {
     enough(texels, bytes, available_bytes())
 }
 

@@ -4,17 +4,16 @@ use glam::DVec2;
 use rigel::evaluate::Reference;
 use rigel::geometry::{Texels, azimuth_zenith};
 use rigel::parameter_map::ParameterMap;
-use rigel::progress::{Progress, Silent};
-use rigel::render::render;
+use rigel::progress::Progress;
 use rigel::shader::{Look, false_colour};
 use rigel::{Error, Result};
 
-use crate::flip::{MOST, apart, matched, photograph};
+use crate::flip::{MOST, apart, matched, photograph, shows};
 use crate::font::LINE;
 use crate::graphics::Graphics;
 use crate::raster::{FAINT, INK, Raster, text_size};
 use crate::scene::{Scene, View};
-use crate::shift::shift_px;
+use crate::shift::{FAR_PX, Shift, shift_px};
 
 /// The wider side of a picture, pixels.
 const SIDE: u32 = 132;
@@ -33,8 +32,8 @@ pub struct Flipped {
     pub name: String,
     /// Where the camera was, from the surface's normal, degrees.
     pub zenith_deg: f64,
-    /// How far the photograph is shifted against the reconstruction, its own pixels; `None` where nothing tells.
-    pub shift_px: Option<DVec2>,
+    /// How far the photograph is shifted against the reconstruction, its own pixels.
+    pub shift_px: Shift,
     /// Mean absolute difference, of 255, over the pixels that were measured.
     pub mean_255: f64,
     /// Whether the fit has seen the view, where the map knows.
@@ -73,13 +72,16 @@ pub fn contact_sheet(
     let by = f64::from(SIDE) / map.surface.width_m.max(map.surface.height_m);
     let tile = Texels {
         columns: (map.surface.width_m * by).round().max(1.0) as u32,
-        rows: (map.surface.height_m * by).round().max(1.0) as u32,
+        // No lower than its name beside it.
+        rows: (map.surface.height_m * by).round().max(LINE.into()) as u32,
     };
     let count = references.len();
     let look = Look { false_colour: false, ..view.look };
     let (left, _) = text_size(&ROWS.map(str::to_owned), 1);
     let (left, top) = (left + 2 * GAP, 2 * LINE + 2 * GAP);
-    let across = left + count as u32 * (tile.columns + GAP);
+    // No narrower than its label above it.
+    let pitch = SIDE + GAP;
+    let across = left + count as u32 * pitch;
     let mut sheet = Raster::new(across.max(left + 300), top + 3 * (tile.rows + GAP) + 2 * LINE + GAP);
     sheet.fill((0, 0), (sheet.width, sheet.height), GROUND);
     for (row, name) in ROWS.iter().enumerate() {
@@ -95,14 +97,11 @@ pub fn contact_sheet(
         let photograph = photograph(&reference, &look);
         let flipped = flipped(map, &reference, &photograph, &reconstruction)?;
 
-        let x = (left + column as u32 * (tile.columns + GAP)) as i32;
+        let x = (left + column as u32 * pitch) as i32;
         let seen = |levels: &[[u8; 3]]| on_the_surface(map, &reference, levels, tile);
         let (above, below) = (seen(&photograph), seen(&reconstruction));
-        let unmeasured: Vec<[u8; 3]> =
-            reference.radiance.mask.iter().map(|mask| if *mask == 0 { [0; 3] } else { [255; 3] }).collect();
-        let pairs = above.iter().zip(&below).zip(seen(&unmeasured));
-        let coloured: Vec<[u8; 3]> =
-            pairs.map(|((a, b), hidden)| if hidden == [0; 3] { apart(a, b) } else { [0; 3] }).collect();
+        let measured = reference.radiance.mask.iter().map(|mask| [if *mask == 0 { 255 } else { 0 }; 3]);
+        let coloured = coloured((&above, &below), &seen(&measured.collect::<Vec<_>>()));
         for (row, levels) in [&above, &below, &coloured].into_iter().enumerate() {
             let y = (top + row as u32 * (tile.rows + GAP)) as i32;
             let size = (tile.columns, tile.rows);
@@ -122,8 +121,9 @@ impl Flipped {
     fn label(&self) -> [String; 2] {
         let unseen = if self.was_seen == Some(false) { " unseen" } else { "" };
         let shift = match self.shift_px {
-            Some(shift) => format!("{:.2} px, ", shift.length()),
-            None => String::new(),
+            Shift::By(shift) => format!("{:.2} px, ", shift.length()),
+            Shift::Far => format!("> {FAR_PX:.0} px, "),
+            Shift::Untold => String::new(),
         };
         [
             format!("{} {:.0} deg{unseen}", self.name, self.zenith_deg),
@@ -138,14 +138,7 @@ fn flipped(
     photograph: &[[u8; 3]],
     reconstruction: &[[u8; 3]],
 ) -> Result<Flipped> {
-    let nothing = |_, _| [0.0; 3];
-    let seen = render(&map.surface, &reference.lens, &reference.pose, nothing, &Silent)?;
-    let counts: Vec<bool> = seen
-        .inside
-        .iter()
-        .zip(&reference.radiance.mask)
-        .map(|(inside, mask)| *inside && *mask == 0)
-        .collect();
+    let counts = shows(map, reference)?;
     let off = |i: usize| {
         let levels = photograph[i].iter().zip(&reconstruction[i]);
         levels.map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / 3.0
@@ -165,6 +158,12 @@ fn flipped(
         mean_255: pixels.iter().map(|&i| off(i)).sum::<f64>() / pixels.len() as f64,
         was_seen: seen.map(|seen| seen.contains(&reference.name)),
     })
+}
+
+/// How far two pictures are apart; black where not all was `measured` (white).
+fn coloured((above, below): (&[[u8; 3]], &[[u8; 3]]), measured: &[[u8; 3]]) -> Vec<[u8; 3]> {
+    let pairs = above.iter().zip(below).zip(measured);
+    pairs.map(|((a, b), measured)| if *measured == [255; 3] { apart(a, b) } else { [0; 3] }).collect()
 }
 
 /// A picture of a view, as it looks from straight above: black where the view does not show the surface.
@@ -235,5 +234,22 @@ mod tests {
         let all = spread(&zeniths, 10);
         assert_eq!(all, [1, 3, 5, 2, 6, 4, 0]);
         assert!(spread(&[], 10).is_empty());
+    }
+
+    #[test]
+    fn beside_the_photograph_and_where_it_was_not_measured_no_difference_is_claimed() {
+        let (map, tile) = (crate::flip::tests::map([0.5; 3]), Texels { columns: 40, rows: 30 });
+        let mut reference = crate::flip::tests::reference([0.5; 3]);
+        let (width, height) = (reference.lens.width, reference.lens.height);
+        // The right half of the surface is beside the picture, and the lower half was too bright.
+        reference.lens.cx = f64::from(width);
+        reference.radiance.mask[(width * height / 2) as usize..].fill(1);
+        let levels = vec![[100; 3]; (width * height) as usize];
+        let seen = on_the_surface(&map, &reference, &levels, tile);
+        let measured = reference.radiance.mask.iter().map(|mask| [if *mask == 0 { 255 } else { 0 }; 3]);
+        let measured = on_the_surface(&map, &reference, &measured.collect::<Vec<_>>(), tile);
+        let coloured = coloured((&seen, &seen), &measured);
+        let is_known = |column: usize, row: usize| coloured[row * 40 + column] == apart(&[9; 3], &[9; 3]);
+        assert!(is_known(5, 5) && !is_known(35, 5) && !is_known(5, 25) && !is_known(35, 25));
     }
 }

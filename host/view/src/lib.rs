@@ -22,5 +22,5 @@ pub use plain::Plain;
 pub use profile::{PANEL, Profile};
 pub use raster::{Colour, Raster};
 pub use scene::{PICTURE, Scene, Shading, View};
-pub use shift::shift_px;
+pub use shift::{FAR_PX, Shift, shift_px};
 pub use window::{KEYS, Show, open};

@@ -104,7 +104,7 @@ impl Profile {
         let rest = (height as i32 - y - 4 * line - 2 * margin).max(0);
         let most = self.most();
         let axes = |top: i32, from: f64, to: f64| Axes {
-            left: margin + (6 * ADVANCE * scale) as i32,
+            left: margin + (7 * ADVANCE * scale) as i32,
             right: width as i32 - 2 * margin,
             top,
             bottom: top + rest / 2 - line,
@@ -271,7 +271,7 @@ impl Axes {
         }
         for part in [0.0, 0.5, 1.0] {
             let value = part * self.most / 1.05;
-            let text = format!("{value:.2}");
+            let text = label(value, self.most);
             let y = self.at(self.from, value).y as i32;
             panel.fill((self.left - 2, y), (3, 1), FAINT);
             let (wide, _) = text_size(std::slice::from_ref(&text), self.scale);
@@ -306,6 +306,15 @@ impl Axes {
     }
 }
 
+/// A value on an axis that goes up to `most`, in no more than seven letters.
+fn label(value: f32, most: f32) -> String {
+    match most.log10().floor() {
+        _ if value == 0.0 => "0".into(),
+        power @ -3.0..5.0 => format!("{value:.0$}", (2.0 - power).clamp(0.0, 4.0) as usize),
+        _ => format!("{value:.1e}"),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -330,6 +339,18 @@ mod tests {
         let (degrees, top, _) = profile.curve.iter().max_by(|a, b| a.1[1].total_cmp(&b.1[1])).unwrap();
         assert!((f64::from(*degrees) - 0.6f64.asin().to_degrees()).abs() < 2.0, "{degrees}");
         assert!((top[1] - 2.2).abs() < 0.02 && profile.most() >= 2.2);
+    }
+
+    #[test]
+    fn labels_tell_values_apart_on_an_axis_of_any_height() {
+        for power in -12..=12 {
+            let most = 1.3 * 10f32.powi(power);
+            let labels = [0.0, 0.5, 1.0].map(|part| (part * most, label(part * most, most)));
+            for (value, label) in labels {
+                let off = (label.parse::<f32>().unwrap() - value).abs();
+                assert!(off <= 0.06 * most && label.len() <= 7, "{label} for {value} of {most}");
+            }
+        }
     }
 
     #[test]

@@ -49,6 +49,9 @@ pub struct View {
     pub halvings: u32,
 }
 
+/// A floor that the map lights: what draws it, its width and its depth in metres.
+type LitFloor = (BindGroup, [f32; 2]);
+
 /// A parameter map on the device, ready to be drawn.
 pub struct Scene {
     surface: Surface,
@@ -68,8 +71,7 @@ pub struct Scene {
     places: TextureView,
     coefficients: TextureView,
     sampler: Sampler,
-    /// A floor that the map lights: what draws it, its width and its depth in metres.
-    floor: Option<(BindGroup, [f32; 2])>,
+    floor: Option<LitFloor>,
 }
 
 impl Scene {
@@ -90,7 +92,7 @@ impl Scene {
             TextureFormat::Rgba32Uint,
             cast_slice(&packed.coefficients),
         );
-        let count = columns.max(rows).ilog2() + 1;
+        let count = most_halvings(map.texels) + 1;
         let usage = TextureUsages::TEXTURE_BINDING | TextureUsages::RENDER_ATTACHMENT;
         let shaded = graphics.texture((columns, rows), count, SHADED, usage);
         let level = |level| {
@@ -153,11 +155,6 @@ impl Scene {
         });
     }
 
-    /// How often the texels can be halved in number.
-    pub fn most_halvings(&self) -> u32 {
-        self.levels.len() as u32 - 1
-    }
-
     /// Whether pictures come with blue first.
     fn is_blue_first(&self) -> bool {
         matches!(self.format, TextureFormat::Bgra8Unorm | TextureFormat::Bgra8UnormSrgb)
@@ -191,13 +188,17 @@ impl Scene {
         let texel_m = (width_m / f64::from(self.texels.columns)).min(height_m / f64::from(self.texels.rows));
         let covered = farthest_m / view.lens.fx.min(view.lens.fy) / texel_m;
         let level = (covered.max(1e-9).log2() - 1.0).ceil().max(0.0) as u32;
-        level.min(self.levels.len() as u32 - 1)
+        level.min(most_halvings(self.texels))
     }
 
     /// Draws a view into `target`.
     pub fn draw(&self, graphics: &Graphics, view: &View, target: &TextureView) {
+        self.draw_with(graphics, view, target, self.floor.as_ref());
+    }
+
+    fn draw_with(&self, graphics: &Graphics, view: &View, target: &TextureView, floor: Option<&LitFloor>) {
         let is_by_texel = self.is_by_texel(view);
-        let halvings = view.halvings.min(self.most_halvings());
+        let halvings = view.halvings.min(most_halvings(self.texels));
         let averages = if is_by_texel { self.averages(view).max(halvings) } else { 0 };
         let mut numbers = camera_numbers(
             &self.surface,
@@ -209,8 +210,8 @@ impl Scene {
             averages,
         );
         numbers[9][2] = halvings as f32;
-        if let Some((_, [width_m, depth_m])) = self.floor {
-            (numbers[0][3], numbers[1][3]) = (width_m, depth_m);
+        if let Some((_, [width_m, depth_m])) = floor {
+            (numbers[0][3], numbers[1][3]) = (*width_m, *depth_m);
         }
         graphics.queue.write_buffer(&self.uniform, 0, cast_slice(&numbers));
         let mut encoder = graphics.device.create_command_encoder(&CommandEncoderDescriptor::default());
@@ -222,7 +223,7 @@ impl Scene {
         }
         let pipeline = if is_by_texel { &self.pipelines.by_texel } else { &self.pipelines.by_pixel };
         pass(&mut encoder, pipeline, if is_by_texel { &self.draw } else { &self.shade }, target);
-        if let Some((floor, _)) = &self.floor {
+        if let Some((floor, _)) = floor {
             pass_over(&mut encoder, &self.pipelines.floor, floor, target);
         }
         graphics.queue.submit([encoder.finish()]);
@@ -234,6 +235,23 @@ impl Scene {
     /// [`Error::Request`] when the picture is empty or too large or `gamma` is not positive, [`Error::Device`] when the device
     /// was lost.
     pub fn picture(&self, graphics: &Graphics, view: &View) -> Result<Vec<[u8; 3]>> {
+        self.picture_with(graphics, view, self.floor.as_ref())
+    }
+
+    /// The same without a floor.
+    ///
+    /// # Errors
+    /// As [`Scene::picture`].
+    pub fn map_alone(&self, graphics: &Graphics, view: &View) -> Result<Vec<[u8; 3]>> {
+        self.picture_with(graphics, view, None)
+    }
+
+    fn picture_with(
+        &self,
+        graphics: &Graphics,
+        view: &View,
+        floor: Option<&LitFloor>,
+    ) -> Result<Vec<[u8; 3]>> {
         let (width, height) = (view.lens.width, view.lens.height);
         if width == 0 || height == 0 || !view.look.gamma.is_finite() || view.look.gamma <= 0.0 {
             return Err(Error::request(
@@ -247,10 +265,15 @@ impl Scene {
         graphics.require_size("the pixels of the picture", width, height)?;
         let usage = TextureUsages::RENDER_ATTACHMENT | TextureUsages::COPY_SRC;
         let target = graphics.texture((width, height), 1, self.format, usage);
-        self.draw(graphics, view, &target.create_view(&Default::default()));
+        self.draw_with(graphics, view, &target.create_view(&Default::default()), floor);
         let order = if self.is_blue_first() { [2, 1, 0] } else { [0, 1, 2] };
         Ok(graphics.read(&target)?.chunks_exact(4).map(|pixel| order.map(|c| pixel[c])).collect())
     }
+}
+
+/// How often texels can be halved in number along each side.
+pub(crate) fn most_halvings(texels: Texels) -> u32 {
+    texels.columns.max(texels.rows).max(1).ilog2()
 }
 
 fn bind(

@@ -4,72 +4,99 @@ use glam::DVec2;
 use rigel::geometry::Lens;
 
 /// Steps of Gauss and Newton; each corrects what the linear picture of the one before left, and trusts pixels by how far they were off.
-const STEPS: usize = 8;
+const STEPS: usize = 40;
+/// No step is longer: farther away the linear picture says nothing.
+const LONGEST_PX: f64 = 2.0;
+/// The last step is shorter.
+const CLOSE_PX: f64 = 0.01;
+/// Nothing is looked for farther away.
+pub const FAR_PX: f64 = 10.0;
 /// Fewer pixels tell nothing.
 const FEWEST: usize = 100;
+/// Of a picture's contrast: less in the other tells nothing.
+const LEAST_GAIN: f64 = 1e-3;
 
-/// By how many pixels `photograph` is shifted against `reconstruction` (x right, y down), where `counts` says that both show the
+/// How far a photograph is shifted against its reconstruction.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Shift {
+    /// By so many pixels: x right, y down.
+    By(DVec2),
+    /// No shift of up to [`FAR_PX`] brings them together.
+    Far,
+    /// Too few pixels show the surface, or one of the two is too even to tell.
+    Untold,
+}
+
+/// By how many pixels `photograph` is shifted against `reconstruction`, where `counts` says that both show the
 /// surface: the least sum of squares after a gain and an offset between them are allowed for, in which pixels count the less the farther
-/// they are off (a highlight that the model does not know is no shift). `None` where too few pixels count, or the reconstruction is too even to tell.
-pub fn shift_px(
-    photograph: &[[u8; 3]],
-    reconstruction: &[[u8; 3]],
-    lens: &Lens,
-    counts: &[bool],
-) -> Option<DVec2> {
+/// they are off (a highlight that the model does not know is no shift). It is looked for from none on: a pattern that repeats matches at
+/// its nearest repetition.
+pub fn shift_px(photograph: &[[u8; 3]], reconstruction: &[[u8; 3]], lens: &Lens, counts: &[bool]) -> Shift {
     let (width, height) = (lens.width as usize, lens.height as usize);
     let grey = |pixel: &[u8; 3]| pixel.iter().map(|level| f64::from(*level)).sum::<f64>() / 3.0;
     let [seen, said] = [photograph, reconstruction].map(|p| p.iter().map(grey).collect::<Vec<f64>>());
     let around = |i: usize| [i, i - 1, i + 1, i - width, i + width];
-    let inner = |i: &usize| {
-        let (x, y) = (i % width, i / width);
-        (2..width.saturating_sub(2)).contains(&x)
-            && (2..height.saturating_sub(2)).contains(&y)
-            && around(*i).iter().all(|&j| around(j).iter().all(|&k| counts[k]))
+    let is_inner = |x: f64, y: f64| {
+        let is_within = |at: f64, side: usize| at >= 2.0 && at < side as f64 - 2.0;
+        is_within(x, width)
+            && is_within(y, height)
+            && around(y as usize * width + x as usize).iter().all(|&j| around(j).iter().all(|&k| counts[k]))
     };
-    let pixels: Vec<usize> = (0..width * height).filter(inner).collect();
-    if pixels.len() < FEWEST {
-        return None;
+    let place = |i: usize| DVec2::new((i % width) as f64, (i / width) as f64);
+    let inner: Vec<usize> = (0..width * height).filter(|&i| is_inner(place(i).x, place(i).y)).collect();
+    if inner.len() < FEWEST {
+        return Shift::Untold;
     }
     // Photograph(x) = gain (said(x - shift)) + offset, said linear about the shift so far.
-    let (mut shift, mut weights) = (DVec2::ZERO, vec![1.0; pixels.len()]);
+    let (mut shift, mut weights) = (DVec2::ZERO, vec![1.0; width * height]);
     for _ in 0..STEPS {
-        let mut sums = [[0.0; 5]; 4];
         let row = |i: usize| {
-            let (x, y) = ((i % width) as f64 - shift.x, (i / width) as f64 - shift.y);
-            let at = |x: f64, y: f64| bilinear(&said, width, height, x, y);
-            let (dx, dy) = (at(x + 0.5, y) - at(x - 0.5, y), at(x, y + 0.5) - at(x, y - 0.5));
-            [-dx, -dy, at(x, y), 1.0, seen[i]]
+            let DVec2 { x, y } = place(i) - shift;
+            let at = |x: f64, y: f64| bilinear(&said, width, x, y);
+            is_inner(x, y).then(|| {
+                let (dx, dy) = (at(x + 0.5, y) - at(x - 0.5, y), at(x, y + 0.5) - at(x, y - 0.5));
+                (i, [-dx, -dy, at(x, y), 1.0, seen[i]])
+            })
         };
-        let rows: Vec<[f64; 5]> = pixels.iter().map(|&i| row(i)).collect();
-        for (row, weight) in rows.iter().zip(&weights) {
+        let rows: Vec<(usize, [f64; 5])> = inner.iter().filter_map(|&i| row(i)).collect();
+        if rows.len() < FEWEST {
+            return Shift::Far;
+        }
+        let mut sums = [[0.0; 5]; 4];
+        for (i, row) in &rows {
             for a in 0..4 {
                 for b in 0..5 {
-                    sums[a][b] += weight * row[a] * row[b];
+                    sums[a][b] += weights[*i] * row[a] * row[b];
                 }
             }
         }
-        let found = solved(sums)?;
-        if found[2].abs() < 1e-3 {
-            return None;
+        let Some(found) = solved(sums).filter(|found| found[2].abs() >= LEAST_GAIN) else {
+            return Shift::Untold;
+        };
+        let step = DVec2::new(found[0], found[1]) / found[2];
+        // One is not the other's negative.
+        if found[2] < 0.0 || !step.is_finite() {
+            return Shift::Far;
         }
-        let off = |row: &[f64; 5]| (0..4).map(|a| found[a] * row[a]).sum::<f64>() - row[4];
-        let offs: Vec<f64> = rows.iter().map(|row| off(row).abs()).collect();
-        let mut sorted = offs.clone();
+        let off = |row: &[f64; 5]| ((0..4).map(|a| found[a] * row[a]).sum::<f64>() - row[4]).abs();
+        let mut sorted: Vec<f64> = rows.iter().map(|(_, row)| off(row)).collect();
         let middle = sorted.len() / 2;
         // Levels are whole numbers: below half of one nothing is told.
         let usual = sorted.select_nth_unstable_by(middle, f64::total_cmp).1.max(0.5);
-        weights = offs.iter().map(|off| 1.0 / (1.0 + (off / usual).powi(2))).collect();
-        shift += DVec2::new(found[0], found[1]) / found[2];
-        if !shift.is_finite() || shift.length() > 0.1 * width as f64 {
-            return None;
+        rows.iter().for_each(|(i, row)| weights[*i] = 1.0 / (1.0 + (off(row) / usual).powi(2)));
+        shift += step.clamp_length_max(LONGEST_PX);
+        if shift.length() > FAR_PX {
+            return Shift::Far;
+        }
+        if step.length() < CLOSE_PX {
+            return Shift::By(shift);
         }
     }
-    Some(shift)
+    Shift::Far
 }
 
-fn bilinear(values: &[f64], width: usize, height: usize, x: f64, y: f64) -> f64 {
-    let (x, y) = (x.clamp(0.0, (width - 2) as f64), y.clamp(0.0, (height - 2) as f64));
+/// Between four pixels that are there.
+fn bilinear(values: &[f64], width: usize, x: f64, y: f64) -> f64 {
     let (left, top) = (x.floor(), y.floor());
     let (right, below, first) = (x - left, y - top, top as usize * width + left as usize);
     let upper = values[first] * (1.0 - right) + values[first + 1] * right;
@@ -108,33 +135,54 @@ mod tests {
         (0..80 * 60).map(level).collect()
     }
 
+    fn shift(photograph: &[[u8; 3]], reconstruction: &[[u8; 3]]) -> Shift {
+        shift_px(photograph, reconstruction, &Lens::pinhole(80, 60, 100.0), &[true; 80 * 60])
+    }
+
+    fn assert_by(found: Shift, want: DVec2) {
+        assert!(matches!(found, Shift::By(by) if (by - want).length() < 0.05), "{found:?} for {want}");
+    }
+
     #[test]
     fn a_known_shift_is_found_under_another_gain() {
-        let (lens, all) = (Lens::pinhole(80, 60, 100.0), vec![true; 80 * 60]);
-        for shift in [DVec2::ZERO, DVec2::new(0.3, -0.2), DVec2::new(-0.7, 0.55)] {
-            let found = shift_px(&drawn(shift, 1.2), &drawn(DVec2::ZERO, 1.0), &lens, &all).unwrap();
-            assert!((found - shift).length() < 0.03, "{found} for {shift}");
+        for (x, y) in [(0.0, 0.0), (0.3, -0.2), (-0.7, 0.55), (4.0, 0.0), (-3.0, 2.5), (-4.2, -4.0)] {
+            let by = DVec2::new(x, y);
+            assert_by(shift(&drawn(by, 1.2), &drawn(DVec2::ZERO, 1.0)), by);
         }
     }
 
     #[test]
     fn a_highlight_that_the_model_does_not_know_is_no_shift() {
-        let (lens, all) = (Lens::pinhole(80, 60, 100.0), vec![true; 80 * 60]);
         let mut photograph = drawn(DVec2::new(0.2, 0.1), 1.0);
         for (i, pixel) in photograph.iter_mut().enumerate() {
             let (x, y) = ((i % 80) as f64 - 20.0, (i / 80) as f64 - 40.0);
             let light = 120.0 * (-(x * x + y * y) / 60.0).exp();
             *pixel = pixel.map(|level| (f64::from(level) + light).min(255.0) as u8);
         }
-        let found = shift_px(&photograph, &drawn(DVec2::ZERO, 1.0), &lens, &all).unwrap();
-        assert!((found - DVec2::new(0.2, 0.1)).length() < 0.05, "{found}");
+        assert_by(shift(&photograph, &drawn(DVec2::ZERO, 1.0)), DVec2::new(0.2, 0.1));
+    }
+
+    #[test]
+    fn what_lies_farther_apart_is_far_and_so_is_a_negative() {
+        let spot = |x: f64| {
+            let level = |i: usize| {
+                let off = DVec2::new((i % 80) as f64 - x, (i / 80) as f64 - 30.0);
+                [(30.0 + 200.0 * (-off.length_squared() / 300.0).exp()) as u8; 3]
+            };
+            (0..80 * 60).map(level).collect::<Vec<_>>()
+        };
+        assert_by(shift(&spot(39.0), &spot(31.0)), DVec2::new(8.0, 0.0));
+        assert_eq!(shift(&spot(51.0), &spot(31.0)), Shift::Far);
+        let negative: Vec<[u8; 3]> = spot(31.0).iter().map(|pixel| pixel.map(|level| 255 - level)).collect();
+        assert_eq!(shift(&negative, &spot(31.0)), Shift::Far);
     }
 
     #[test]
     fn an_even_picture_and_a_hidden_one_tell_nothing() {
+        let (even, drawn) = (vec![[90; 3]; 80 * 60], drawn(DVec2::ZERO, 1.0));
+        assert_eq!(shift(&drawn, &even), Shift::Untold);
+        assert_eq!(shift(&even, &drawn), Shift::Untold);
         let lens = Lens::pinhole(80, 60, 100.0);
-        let even = vec![[90; 3]; 80 * 60];
-        assert_eq!(shift_px(&drawn(DVec2::ZERO, 1.0), &even, &lens, &[true; 4800]), None);
-        assert_eq!(shift_px(&even, &drawn(DVec2::ZERO, 1.0), &lens, &[false; 4800]), None);
+        assert_eq!(shift_px(&drawn, &drawn, &lens, &[false; 4800]), Shift::Untold);
     }
 }

@@ -19,7 +19,7 @@ use winit::event_loop::EventLoop;
 
 use crate::flip::matched;
 use crate::profile::{PANEL, Profile};
-use crate::scene::View;
+use crate::scene::{View, most_halvings};
 use draw::{framed, letters};
 use pane::Pane;
 use turn::{fitting, moved, turned};
@@ -88,6 +88,8 @@ struct App {
     /// The photographed view that is shown, instead of one from anywhere.
     step: Option<(usize, Reference)>,
     face: Face,
+    /// What the map is, in lines.
+    facts: Vec<String>,
     /// Keys and facts are written.
     is_written: bool,
     is_floor_lit: bool,
@@ -102,7 +104,9 @@ struct App {
 
 impl App {
     fn new(show: Show) -> Self {
+        let (name, map) = &show.maps[0];
         Self {
+            facts: words::facts(name, map),
             pose: show.view.pose,
             map: 0,
             step: None,
@@ -197,7 +201,10 @@ impl App {
     fn next_map(&mut self) -> Result<()> {
         let before = self.show.maps[self.map].1.texels;
         self.map = (self.map + 1) % self.show.maps.len();
-        let after = self.show.maps[self.map].1.texels;
+        let (name, map) = &self.show.maps[self.map];
+        let after = map.texels;
+        self.facts = words::facts(name, map);
+        self.show.view.halvings = self.show.view.halvings.min(most_halvings(after));
         // The same place, on a map that may be finer or coarser.
         let scaled = |at: u32, from: u32, to: u32| {
             ((u64::from(at) * 2 + 1) * u64::from(to) / (2 * u64::from(from))) as u32
@@ -209,6 +216,10 @@ impl App {
             pane.load(&self.show.maps[self.map].1)?;
         }
         self.light_floor();
+        if self.step.is_some() {
+            // The photograph's exposure follows the map's.
+            self.step(0)?;
+        }
         self.look_at_texel()
     }
 

@@ -6,13 +6,15 @@ mod common;
 
 use common::{cameras, finer, fitted, mixed, oblique, observed};
 use rigel::emitter::Floor;
+use rigel::evaluate::Reference;
 use rigel::fit::Model;
-use rigel::geometry::{Lens, Pose, Texels};
+use rigel::geometry::{Lens, Pose, Surface, Texels};
 use rigel::parameter_map::ParameterMap;
 use rigel::progress::Silent;
+use rigel::radiance::RadianceImage;
 use rigel::render::{Rendering, gamma_for_median, render};
 use rigel::shader::Look;
-use rigel_view::{Graphics, PICTURE, Scene, Shading, View};
+use rigel_view::{Graphics, PICTURE, Scene, Shading, View, contact_sheet};
 
 const TEXELS: Texels = Texels { columns: 20, rows: 15 };
 
@@ -230,11 +232,40 @@ fn a_floor_shows_what_the_map_sends_onto_it_until_it_is_taken_away() {
         }
     }
     // Beside its own point a pixel shows a little of the next.
-    assert!(seen > 1000 && f64::from(off) / f64::from(3 * seen) < 1.0, "{off} over {seen} points");
+    assert!(
+        10 * seen > 9 * columns * rows && f64::from(off) / (3.0 * seen as f64) < 1.0,
+        "{off} over {seen} points"
+    );
     assert!(lit.iter().any(|pixel| pixel[0] > 40) && lit != before);
     // Where the floor is not, nothing changes.
     let above = (0..40 * 320).filter(|i| before[*i] != lit[*i]).count();
     assert_eq!(above, 0);
+    assert_eq!(scene.map_alone(&graphics, &view).unwrap(), before);
     scene.set_floor(&graphics, None);
     assert_eq!(scene.picture(&graphics, &view).unwrap(), before);
+}
+
+/// A sheet's rows are at least as high as what is written beside them.
+#[test]
+fn a_thin_surface_and_a_narrow_one_have_a_contact_sheet() {
+    let Some(graphics) = graphics() else { return };
+    let (lens, pose) = (Lens::pinhole(320, 240, 400.0), Pose::from_rig(0.3, 0.4, 0.4));
+    let (_, observed) = observed(TEXELS);
+    for (width_m, height_m) in [(0.2, 0.004), (0.004, 0.2)] {
+        let map = fitted(Surface { width_m, height_m }, TEXELS, Model::Constant, &observed);
+        let seen = truth(&map, &lens, &pose);
+        let count = seen.inside.len();
+        let mask = seen.inside.iter().map(|inside| u8::from(!inside)).collect();
+        let view = View { lens, pose, look: look(&seen), shading: Shading::ByPixel, halvings: 0 };
+        let radiance = RadianceImage {
+            width: lens.width,
+            height: lens.height,
+            radiance: seen.radiance,
+            variance: vec![[0.0; 3]; count],
+            mask,
+        };
+        let reference = Reference { name: "view".into(), lens, pose, radiance, exposure_time_known: true };
+        let sheet = contact_sheet(&graphics, &map, [Ok(reference)].into_iter(), &view, &Silent).unwrap();
+        assert!(sheet.views[0].mean_255 < 1.0, "{:?}", sheet.views);
+    }
 }

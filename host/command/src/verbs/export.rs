@@ -89,14 +89,14 @@ fn write_splats(arguments: &Export, out: &Path) -> Result<()> {
     let gamma = arguments.gamma.map_or_else(|| Quantised::gamma_of(&map), Ok)?;
     let splats = splats(&map, gamma, &Bar::new("reducing"))?;
     write_bytes(out, &splats.ply)?;
+    let overlap = splats.overlap_255.map_or_else(|| "is not judged".into(), |cost| format!("{cost:.1}"));
     say!(
-        "wrote {}: {} splats, {:.1} MB, exposed with gamma {gamma:.4}; harmonics up to degree 3 cost {:.1} of 255 (95 % within {:.1}) down to zenith 80 degrees, their overlap {:.1}",
+        "wrote {}: {} splats, {:.1} MB, exposed with gamma {gamma:.4}; harmonics up to degree 3 cost {:.1} of 255 (95 % within {:.1}) down to zenith 80 degrees, their overlap {overlap}",
         out.display(),
         splats.count,
         splats.ply.len() as f64 / 1e6,
         splats.mean_255,
-        splats.most_255,
-        splats.overlap_255
+        splats.most_255
     );
     Ok(())
 }

@@ -12,7 +12,9 @@ use rigel::render;
 use rigel::session::Session;
 use rigel::shader::Look;
 use rigel::{Error, Result, file};
-use rigel_view::{Graphics, KEYS, PANEL, PICTURE, Profile, Raster, Scene, Shading, Show, open};
+use rigel_view::{
+    FAR_PX, Graphics, KEYS, PANEL, PICTURE, Profile, Raster, Scene, Shading, Shift, Show, open,
+};
 
 use crate::arguments::{ShadingChoice, View};
 use crate::progress::Bar;
@@ -97,10 +99,11 @@ fn contact_sheet(map: &ParameterMap, session: &Session, view: &rigel_view::View,
     let sheet = rigel_view::contact_sheet(&graphics, map, references, view, &Bar::new("drawing"))?;
     write(&sheet.picture, out)?;
     for flipped in &sheet.views {
-        let shift = flipped.shift_px.map_or_else(
-            || "its shift cannot be told".to_owned(),
-            |shift| format!("shifted by {:+.2}, {:+.2} pixels", shift.x, shift.y),
-        );
+        let shift = match flipped.shift_px {
+            Shift::By(shift) => format!("shifted by {:+.2}, {:+.2} pixels", shift.x, shift.y),
+            Shift::Far => format!("shifted by more than {FAR_PX:.0} pixels"),
+            Shift::Untold => "its shift cannot be told".into(),
+        };
         let unseen = if flipped.was_seen == Some(false) { ", which the fit has not seen" } else { "" };
         say!(
             "{}, zenith {:.0} degrees{unseen}: {:.2} of 255, {shift}",

@@ -14,7 +14,7 @@ use crate::contact_sheet::scale;
 use crate::flip::{difference, photograph};
 use crate::profile::PANEL;
 use crate::raster::{DIM, Raster, text_size};
-use crate::scene::View;
+use crate::scene::{Shading, View};
 
 /// A name that nothing has yet: `view.png`, `view-2.png`, ...
 pub(super) fn unused(path: &Path) -> PathBuf {
@@ -43,12 +43,12 @@ impl App {
         let view = self.view();
         let exposed = || {
             let look = Look { false_colour: false, ..view.look };
-            pane.picture(&View { look, ..view })
+            pane.map_alone(&View { look, ..view })
         };
         Ok(match self.face {
             Face::Photograph => photograph(reference, &view.look),
-            Face::Reconstruction => pane.picture(&view)?,
-            Face::Difference => difference(reference, &exposed()?, &view.look),
+            Face::Reconstruction => pane.map_alone(&view)?,
+            Face::Difference => difference(&self.show.maps[self.map].1, reference, &exposed()?, &view.look)?,
         })
     }
 
@@ -73,10 +73,9 @@ impl App {
             over.place((over.width as i32 - size.0 as i32, 0), &profile.draw(size, scale));
         }
         if self.is_written {
-            let (name, map) = &self.show.maps[self.map];
-            let mut lines = words::facts(name, map);
+            let mut lines = self.facts.clone();
             lines.push(String::new());
-            lines.extend(words::seen(&self.view(), self.of().as_deref(), self.is_floor_lit));
+            lines.extend(self.seen());
             let keys = words::keys();
             let (_, high) = text_size(&keys, scale);
             over.note((margin, margin), scale, &lines);
@@ -99,6 +98,15 @@ impl App {
             self.screenshot(&path)?;
         }
         Ok(())
+    }
+
+    /// What is seen, and how, in lines.
+    pub(super) fn seen(&self) -> Vec<String> {
+        let view = self.view();
+        let by_choice = view.halvings > 0 || view.shading == Shading::ByTexel;
+        let is_by_texel = self.pane.as_ref().map_or(by_choice, |pane| pane.is_by_texel(&view));
+        let is_floor_shown = self.is_floor_lit && self.step.is_none();
+        words::seen(&view, is_by_texel, self.of().as_deref(), is_floor_shown)
     }
 
     /// Which picture of which photographed view is shown.

@@ -13,7 +13,7 @@ use winit::window::{Window, WindowId};
 use super::draw::unused;
 use super::pane::Pane;
 use super::{App, Face, no_display};
-use crate::scene::Shading;
+use crate::scene::{Shading, most_halvings};
 
 /// A pointer that moves no farther between press and release has clicked, pixels.
 const CLICK_PX: f64 = 4.0;
@@ -52,7 +52,7 @@ impl App {
                 self.light_floor();
             }
             Key::Character("r") => {
-                let most = self.pane.as_ref().map_or(MOST_HALVINGS, Pane::most_halvings).min(MOST_HALVINGS);
+                let most = most_halvings(self.show.maps[self.map].1.texels).min(MOST_HALVINGS);
                 self.show.view.halvings = (self.show.view.halvings + 1) % (most + 1);
             }
             Key::Character("x") => {

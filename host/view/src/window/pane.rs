@@ -87,10 +87,6 @@ impl Pane {
         self.scene.set_floor(&self.graphics, floor);
     }
 
-    pub fn most_halvings(&self) -> u32 {
-        self.scene.most_halvings()
-    }
-
     /// The next frame; `None` where there is none to draw now.
     fn frame(&self) -> Result<Option<SurfaceTexture>> {
         match self.surface.get_current_texture() {
@@ -129,7 +125,16 @@ impl Pane {
         Ok(())
     }
 
+    pub fn is_by_texel(&self, view: &View) -> bool {
+        self.scene.is_by_texel(view)
+    }
+
     pub fn picture(&self, view: &View) -> Result<Vec<[u8; 3]>> {
         self.scene.picture(&self.graphics, view)
+    }
+
+    /// The same without the floor.
+    pub fn map_alone(&self, view: &View) -> Result<Vec<[u8; 3]>> {
+        self.scene.map_alone(&self.graphics, view)
     }
 }

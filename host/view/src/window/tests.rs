@@ -1,30 +1,22 @@
 use super::draw::unused;
 use super::*;
+use crate::flip::tests::{map as even, reference};
 use crate::raster::Raster;
 use crate::scene::Shading;
-use rigel::fit::Model;
-use rigel::geometry::{Surface, Texels};
-use rigel::radiance::RadianceImage;
+use rigel::geometry::Texels;
 use rigel::shader::Look;
 use winit::keyboard::{Key, NamedKey};
 
 const TEXELS: Texels = Texels { columns: 16, rows: 12 };
 
 fn map() -> ParameterMap {
-    ParameterMap {
-        surface: Surface { width_m: 0.2, height_m: 0.15 },
-        texels: TEXELS,
-        models: vec![Model::Constant],
-        choice: vec![],
-        parameters: vec![0.5; 3 * TEXELS.count()],
-        diagnostics: None,
-        uncertainty: None,
-    }
+    even([0.5; 3])
 }
 
+/// Darker, too.
 fn coarse() -> ParameterMap {
     let texels = Texels { columns: 4, rows: 3 };
-    ParameterMap { texels, parameters: vec![0.5; 3 * texels.count()], ..map() }
+    ParameterMap { texels, parameters: vec![0.25; 3 * texels.count()], ..map() }
 }
 
 fn app(pose: Pose) -> App {
@@ -37,16 +29,9 @@ fn app(pose: Pose) -> App {
         photograph: Box::new(|index| {
             Ok(Reference {
                 name: format!("view{index}"),
-                lens: Lens::pinhole(160, 100, 170.0),
                 pose: Pose::from_rig(0.1 * index as f64, 0.2, 0.6),
-                radiance: RadianceImage {
-                    width: 160,
-                    height: 100,
-                    radiance: vec![[0.5; 3]; 16_000],
-                    variance: vec![[0.0; 3]; 16_000],
-                    mask: vec![0; 16_000],
-                },
-                exposure_time_known: true,
+                exposure_time_known: false,
+                ..reference([3.0; 3])
             })
         }),
         observations: None,
@@ -83,14 +68,17 @@ fn the_first_pose_is_kept_whole_and_zero_brings_it_back() {
 #[test]
 fn keys_change_what_the_text_says() {
     let mut app = app(Pose::from_rig(0.0, 0.4, 0.8));
-    let text = |app: &App| words::seen(&app.view(), app.of().as_deref(), app.is_floor_lit).join("\n");
+    let text = |app: &App| app.seen().join("\n");
     assert!(text(&app).contains("zenith 22.9"), "{}", text(&app));
     press(&mut app, "n ");
     assert!(text(&app).contains("difference x 4 view0 (1 of 3)"), "{}", text(&app));
     press(&mut app, "pf ");
     assert!(text(&app).contains("photograph view2 (3 of 3)") && text(&app).contains("false"));
+    // Coarser texels are shaded by texel whatever is chosen, and no floor lies before a photograph.
     press(&mut app, "rrxl");
-    assert!(text(&app).contains("by pixel, texels / 4, floor lit"), "{}", text(&app));
+    assert_eq!(app.seen().last().unwrap(), "shaded by texel, texels / 4");
+    press(&mut app, "0rr");
+    assert_eq!(app.seen().last().unwrap(), "shaded by pixel, floor lit");
     assert!(!app.key(&Key::Character("q".into())).unwrap());
 }
 
@@ -156,9 +144,24 @@ fn a_click_finds_the_texel_that_is_seen_there() {
 fn the_next_map_shows_the_same_place() {
     let mut app = app(Pose::from_rig(0.3, 0.5, 0.8));
     app.show.texel = Some((15, 6));
-    press(&mut app, "m");
+    press(&mut app, "rrrm");
     assert_eq!(app.show.texel, Some((3, 1)));
     assert!(app.profile.is_some());
+    assert_eq!(app.facts, words::facts("b", &coarse()));
+    // It has fewer texels that can become coarser.
+    assert!(app.seen().last().unwrap().ends_with("texels / 4"), "{:?}", app.seen());
+}
+
+#[test]
+fn a_photograph_of_unknown_exposure_follows_the_map() {
+    let mut app = app(Pose::from_rig(0.3, 0.5, 0.8));
+    press(&mut app, "n");
+    for level in [0.5, 0.25, 0.5] {
+        let (index, shown) = app.step.as_ref().unwrap();
+        let off = (shown.radiance.radiance[50 * 160 + 80][0] - level).abs();
+        assert!(*index == 0 && off < 1e-6, "{off} from {level}");
+        press(&mut app, "m");
+    }
 }
 
 #[test]

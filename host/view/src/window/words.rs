@@ -52,13 +52,11 @@ fn shortened(line: &str) -> String {
 }
 
 /// What is seen, and how; `of` is the photographed view and which picture of it.
-pub(super) fn seen(view: &View, of: Option<&str>, is_floor_lit: bool) -> Vec<String> {
+pub(super) fn seen(view: &View, is_by_texel: bool, of: Option<&str>, is_floor_lit: bool) -> Vec<String> {
     let (azimuth_rad, zenith_rad) = azimuth_zenith(view.pose.centre_m);
-    let shading = match view.shading {
-        Shading::Automatic => "automatic",
-        Shading::ByPixel => "by pixel",
-        Shading::ByTexel => "by texel",
-    };
+    let shading = if is_by_texel { "by texel" } else { "by pixel" };
+    let is_chosen = view.shading != Shading::Automatic || view.halvings > 0;
+    let chosen = if is_chosen { "" } else { " (automatic)" };
     let texels = match view.halvings {
         0 => String::new(),
         halvings => format!(", texels / {}", 1u32 << halvings),
@@ -74,7 +72,7 @@ pub(super) fn seen(view: &View, of: Option<&str>, is_floor_lit: bool) -> Vec<Str
             view.pose.centre_m.length()
         ),
         format!("gamma {:.3}{colours}", view.look.gamma),
-        format!("shaded {shading}{texels}{floor}"),
+        format!("shaded {shading}{chosen}{texels}{floor}"),
     ];
     lines.iter().map(|line| shortened(line)).collect()
 }

@@ -60,12 +60,20 @@ fn python_reads_the_observations_as_they_are() {
         let bits = |value: &f32| if value.is_nan() { None } else { Some(value.to_bits()) };
         let same = values.iter().map(bits).eq(want.as_flattened().iter().map(bits));
         assert!(same && values.len() == 4 * want.len(), "{kind}");
-        assert!(succeed(folder.path(), &["info", &out]).contains("rigel"));
+        let told = succeed(folder.path(), &["info", &out]);
+        assert!(told.contains("observations: radiance of every texel") && told.contains("7 views"), "{told}");
         // Nothing is replaced unasked.
         let before = snapshot(folder.path());
         let again = rigel(folder.path(), &["export", source, &format!("--{kind}"), &out]).output().unwrap();
         assert_refused(kind, &again, &["--force", &out]);
         assert_untouched(kind, &before, &snapshot(folder.path()));
+        // A damaged file is made whole, and what does not belong to a store goes.
+        let (whole, stale) = (folder.path().join(&out), folder.path().join(&out).join("stale"));
+        let damaged = if whole.is_dir() { whole.join("radiance/0.0.0.0") } else { whole };
+        std::fs::write(damaged, "damaged").unwrap();
+        if stale.parent().unwrap().is_dir() {
+            std::fs::write(stale, "stale").unwrap();
+        }
         succeed(folder.path(), &["export", source, &format!("--{kind}"), &out, "--force"]);
         assert_untouched(kind, &before, &snapshot(folder.path()));
     }
@@ -77,7 +85,20 @@ fn what_is_no_observations_is_not_exported_and_a_folder_of_another_kind_stays() 
     std::fs::create_dir(folder.path().join("mine.zarr")).unwrap();
     std::fs::write(folder.path().join("mine.zarr/letter.txt"), "Dear reader").unwrap();
     std::fs::create_dir(folder.path().join("empty")).unwrap();
+    std::fs::create_dir(folder.path().join("foreign.zarr")).unwrap();
+    std::fs::write(folder.path().join("foreign.zarr/.zgroup"), "{\"zarr_format\": 2}").unwrap();
+    std::fs::write(folder.path().join("foreign.zarr/.zattrs"), "{\"made_by\": \"another\"}").unwrap();
+    // A name of as many bytes, which OpenEXR cannot hold.
+    let mut observations = std::fs::read(folder.path().join("session/observations.rigel")).unwrap();
+    let name = observations.windows(9).position(|bytes| bytes == b"\"view000\"").unwrap();
+    observations[name..name + 9].copy_from_slice("\"viewΩ0\"".as_bytes());
+    std::fs::write(folder.path().join("omega.rigel"), observations).unwrap();
     let before = snapshot(folder.path());
+    assert_refused(
+        "info",
+        &rigel(folder.path(), &["info", "foreign.zarr"]).output().unwrap(),
+        &["foreign.zarr"],
+    );
     for (arguments, names) in [
         (vec!["phong.exr", "--zarr", "a.zarr"], vec!["phong.exr", "rigel observe"]),
         (vec!["phong.exr", "--exr", "a.exr"], vec!["phong.exr", "rigel observe"]),
@@ -85,6 +106,8 @@ fn what_is_no_observations_is_not_exported_and_a_folder_of_another_kind_stays() 
         (vec!["session", "--zarr", "a.folder"], vec!["a.folder", ".zarr"]),
         (vec!["session", "session", "--exr", "a.exr"], vec!["2 files", "name one"]),
         (vec!["session", "--zarr", "mine.zarr", "--force"], vec!["mine.zarr", "no Zarr store"]),
+        (vec!["session", "--zarr", "foreign.zarr", "--force"], vec!["foreign.zarr", "no Zarr store"]),
+        (vec!["omega.rigel", "--exr", "a.exr"], vec!["viewΩ0", "--zarr"]),
         (vec!["session", "--exr", "none/a.exr"], vec!["a.exr", "check the path"]),
     ] {
         let what = arguments.join(" ");
