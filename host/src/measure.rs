@@ -182,8 +182,9 @@ pub fn measure(session: &Session, options: &Options, progress: &dyn Progress) ->
     }
     progress.step(looked_at, total)?;
 
-    let folder =
-        gather_in(session, &made_from(session, &views, &response, &noise, vignetting.as_ref(), options)?)?;
+    let heed = || progress.step(looked_at, total);
+    let made_from = made_from(session, &views, &response, &noise, vignetting.as_ref(), options, &heed)?;
+    let folder = gather_in(session, &made_from)?;
     let description = match choice {
         ResponseChoice::Recover if options.merge == Merge::Debevec => {
             "recovered after Debevec and Malik".into()
@@ -383,6 +384,7 @@ fn made_from(
     noise: &NoiseModel,
     vignetting: Option<&Vignetting>,
     options: &Options,
+    heed: &(dyn Fn() -> Result<()> + Sync),
 ) -> Result<String> {
     let Options { times, merge, .. } = options;
     let mut hasher = DefaultHasher::new();
@@ -392,7 +394,10 @@ fn made_from(
     let mut text =
         format!("response {:x}\n{noise:?}\n{vignetting:?}\n{times:?}\n{merge:?}\n", hasher.finish());
     let photographs: Vec<_> = views.iter().flat_map(|&view| session.photographs(view)).collect();
-    let hashed = |photograph: &&_| file::sha256(&session.photograph_path(photograph));
+    let hashed = |photograph: &&_| {
+        heed()?;
+        file::sha256(&session.photograph_path(photograph))
+    };
     let contents: Vec<(u64, String)> = photographs.par_iter().map(hashed).collect::<Result<_>>()?;
     for (photograph, (_, sha256)) in photographs.into_iter().zip(contents) {
         let (view, file, exposure_s) = (photograph.view, &photograph.file, photograph.exposure_s);

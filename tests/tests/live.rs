@@ -88,7 +88,7 @@ fn a_table_and_records_that_grow_place_every_photograph_as_it_comes() {
     let mut live = Live::open(to, &tracking(&tour), Wanted::default(), |_| Ok(options(&tour))).unwrap();
     let (mut turns, mut seen, mut squares) = (vec![], 0.0, 0.0);
     let truth = tour.truth();
-    for i in 0..tour.photographs {
+    for (i, expected) in truth.iter().enumerate() {
         put(from, to, i, &tour);
         fs::write(to.join("frames.csv"), head(from, "frames.csv", |k, _| k <= i + 1)).unwrap();
         // Nothing of what comes later is known.
@@ -98,7 +98,7 @@ fn a_table_and_records_that_grow_place_every_photograph_as_it_comes() {
         let place = placed(&arrivals)[0];
         turns.push(place.turn);
         seen += place.gained;
-        let off = truth[i].angle_between(place.turn);
+        let off = expected.angle_between(place.turn);
         squares += off * off / 3.0 / place.sigma_rad.unwrap().powi(2);
     }
     let (rms, score) = (rms_deg(&turns, &truth), (squares / tour.photographs as f64).sqrt());

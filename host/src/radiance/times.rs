@@ -233,21 +233,23 @@ const MEDIAN_OF_SIGMA: f64 = 0.6745;
 /// ones, says nothing of any of them. The median of the slopes between any two: a few wrong ones do not matter. What most of them
 /// scatter about it is the camera's, of which no model says all: none is known better than that.
 fn among_all(times: &mut [MeasuredTime], stated_s: &[f64]) {
-    if times.len() < FEWEST_FOR_POWER {
+    // What was black or saturated throughout was not measured.
+    let told = times.iter().zip(stated_s).filter(|(time, _)| time.sigma.is_finite());
+    let told: Vec<(f64, f64)> = told.map(|(time, s)| (s.ln(), (time.measured_s / s).ln())).collect();
+    if told.len() < FEWEST_FOR_POWER {
         return;
     }
-    let off: Vec<f64> = times.iter().zip(stated_s).map(|(time, s)| (time.measured_s / s).ln()).collect();
-    let pairs = (0..off.len()).flat_map(|i| (0..i).map(move |j| (i, j)));
+    let pairs = (0..told.len()).flat_map(|i| (0..i).map(move |j| (i, j)));
     let slope = |(i, j): (usize, usize)| {
-        let apart = (stated_s[i] / stated_s[j]).ln();
-        (apart.abs() > APART).then(|| (off[i] - off[j]) / apart)
+        let apart = told[i].0 - told[j].0;
+        (apart.abs() > APART).then(|| (told[i].1 - told[j].1) / apart)
     };
     let slope = middle(pairs.filter_map(slope).collect());
-    let rest: Vec<f64> = off.iter().zip(stated_s).map(|(off, s)| off - slope * s.ln()).collect();
+    let rest: Vec<f64> = told.iter().map(|(ln_s, off)| off - slope * ln_s).collect();
     let centre = middle(rest.clone());
     let scatter = middle(rest.iter().map(|rest| (rest - centre).abs()).collect()) / MEDIAN_OF_SIGMA;
-    for ((time, stated_s), rest) in times.iter_mut().zip(stated_s).zip(rest) {
-        time.measured_s = stated_s * (rest - centre).exp();
+    for (time, stated_s) in times.iter_mut().zip(stated_s) {
+        time.measured_s /= (slope * stated_s.ln() + centre).exp();
         time.sigma = time.sigma.hypot(scatter);
     }
 }

@@ -179,3 +179,20 @@ fn photographs_that_share_nothing_are_not_judged() {
     let times = stack.times(&response, &NoiseModel::assumed(&response));
     assert!(times.iter().all(|time| !time.is_doubtful()), "{times:?}");
 }
+
+/// Four of nine photographs were black and said nothing; the five others, whose times are a power of the stated ones, were taken to be wrong.
+#[test]
+fn what_measured_nothing_has_no_say_in_the_power_of_all_times() {
+    let stated_s = stops(9, 1);
+    let time = |(j, &stated_s): (usize, &f64)| {
+        let is_told = j < 5;
+        let measured_s = if is_told { stated_s * stated_s.powf(-0.1) } else { stated_s };
+        let sigma = if is_told { 0.002 } else { f64::INFINITY };
+        MeasuredTime { path: format!("{j}.png").into(), stated_s, measured_s, sigma }
+    };
+    let mut times: Vec<MeasuredTime> = stated_s.iter().enumerate().map(time).collect();
+    among_all(&mut times, &stated_s);
+    for (time, stated_s) in times.iter().zip(&stated_s).take(5) {
+        assert!((time.measured_s / stated_s - 1.0).abs() < 1e-9 && !time.is_doubtful(), "{time:?}");
+    }
+}
