@@ -170,13 +170,28 @@ fn a_lamp_that_was_switched_off_leaves_what_the_photographs_show() {
         };
         map.radiance[i] = map.radiance[i].map(|wall| wall + own);
     }
+    // It shows the wall then, or is as black as its room.
+    for dark in [1.0, 0.0] {
+        let truth = |d: DVec3| wall(d) * if d.angle_between(lamp) < 0.06 { dark } else { 1.0 };
+        let made = made(&map, &photographs(folder.path(), |d| [truth(d); 3], 0.0), false).unwrap();
+        println!("{:?}, {:.4} replaced", made.lamps, made.replaced);
+        assert!(made.lamps.len() == 1 && made.lamps[0].direction.angle_between(lamp) < 0.01);
+        assert!(!made.lamps[0].is_own && made.lamps[0].factor.is_none());
+        // But for the edge, between pixels of both.
+        for i in (0..map.radiance.len()).filter(|&i| off(i) < 0.1 && (off(i) - 0.06).abs() > 0.015) {
+            let (truth, now) = (truth(map.size.direction(at(i))), f64::from(made.map.radiance[i][1]));
+            assert!((now - truth).abs() < 0.15 * truth.max(0.1), "{now} {truth} at {}", off(i));
+        }
+    }
+    // Where it was black, and is not.
+    let holed = |d: DVec3| if d.angle_between(lamp) < 0.06 { 0.0 } else { wall(d) as f32 };
+    for i in 0..map.radiance.len() {
+        map.radiance[i] = [holed(map.size.direction(at(i))); 3];
+    }
     let made = made(&map, &photographs(folder.path(), |d| [wall(d); 3], 0.0), false).unwrap();
-    println!("{:?}, {:.4} replaced", made.lamps, made.replaced);
-    assert!(made.lamps.len() == 1 && made.lamps[0].direction.angle_between(lamp) < 0.01);
-    assert!(!made.lamps[0].is_own && made.lamps[0].factor.is_none());
-    for i in (0..map.radiance.len()).filter(|&i| off(i) < 0.12) {
-        let truth = wall(map.size.direction(at(i))) as f32;
-        assert!((made.map.radiance[i][1] / truth - 1.0).abs() < 0.15, "{} {truth}", made.map.radiance[i][1]);
+    for i in (0..map.radiance.len()).filter(|&i| off(i) < 0.1) {
+        let (truth, now) = (wall(map.size.direction(at(i))), f64::from(made.map.radiance[i][1]));
+        assert!((now / truth - 1.0).abs() < 0.15, "{now} {truth} at {}", off(i));
     }
 }
 

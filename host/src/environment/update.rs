@@ -119,12 +119,13 @@ pub fn update(
     compare(map, new, threshold, (scale_sigma, turned), progress)
 }
 
-/// What both measured of a cell: sums of solid angle times radiance.
+/// What both measured of a cell: sums of solid angle times radiance, and of its standard deviation now.
 #[derive(Clone, Copy, Default)]
 struct Cell {
     angle: f64,
     before: [f64; 3],
     after: [f64; 3],
+    doubt: f64,
 }
 
 fn compare(
@@ -151,6 +152,8 @@ fn compare(
             cell.angle += angle;
             (0..3).for_each(|c| cell.before[c] += angle * f64::from(map.radiance[i][c]));
             (0..3).for_each(|c| cell.after[c] += angle * f64::from(now.radiance[i][c]));
+            // What is black in one photograph is so in all.
+            cell.doubt += angle * f64::from(now.variance.get(i).copied().unwrap_or(0.0)).sqrt();
         }
         cells
     };
@@ -194,14 +197,18 @@ fn compare(
     let mut out = map.clone();
     lamps.multiply(&mut out, rest, &told);
     // Each colour by itself is noisier than what all of them say.
-    let cells = cells_of(&out, &|_| true);
-    let is_other: Vec<bool> = ratios_of(&cells)
-        .into_iter()
-        .zip(&cells)
-        .map(|(ratio, cell)| {
-            let limit = |c: usize| CHANGED.max(1.0 + threshold).ln().max(SIGMAS * spread[c]);
-            let was_black = (0..3).any(|c| cell.before[c] <= 0.0 && cell.after[c] > 0.0);
-            was_black || ratio.is_some_and(|ratio| (0..3).any(|c| ratio[c].abs() > limit(c)))
+    let is_other: Vec<bool> = cells_of(&out, &|_| true)
+        .iter()
+        .map(|cell| {
+            (0..3).any(|c| {
+                let (before, after) = (cell.before[c], cell.after[c]);
+                if before > 0.0 && after > 0.0 {
+                    let limit = CHANGED.max(1.0 + threshold).ln().max(SIGMAS * spread[c]);
+                    (after / before).ln().abs() > limit
+                } else {
+                    (after - before).abs() > SIGMAS * cell.doubt
+                }
+            })
         })
         .collect();
     let (mut replaced, mut gained) = (0.0, 0.0);
