@@ -90,6 +90,8 @@ pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Re
     let mut looked = Instant::now();
     let mut until = None;
     let is_whole = loop {
+        // What came before that is still looked at.
+        let is_ended = interrupted();
         if let Some(log) = &mut log {
             log.check()?;
         }
@@ -111,7 +113,7 @@ pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Re
             line.show(&format!("{}: {}", pointed(now), way(now, next)));
         }
         let is_whole = live.coverage().is_some_and(Coverage::is_done);
-        if is_whole || interrupted() {
+        if is_whole || is_ended {
             let until: Instant = *until.get_or_insert(looked + REST);
             if live.is_settled() || looked > until {
                 break is_whole;
