@@ -270,7 +270,10 @@ impl<'a> Live<'a> {
         let why = "has come: it says how the camera was turned, and all photographs are placed anew";
         told.push(Arrival { name: name(table), place: Err(why.into()) });
         (self.first, self.coverage, self.views) = (None, None, Views::default());
-        (self.known.clear(), self.waiting.clear(), self.left.clear(), self.placed.clear());
+        self.known.clear();
+        self.waiting.clear();
+        self.left.clear();
+        self.placed.clear();
     }
 
     fn mount(&self) -> DQuat {

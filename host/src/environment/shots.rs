@@ -77,6 +77,9 @@ pub(super) struct Frame {
     pub time_s: Option<f64>,
 }
 
+/// The lines of a table, and its lens if it says one.
+pub(super) type Table = (Vec<Frame>, Option<Lens>);
+
 #[derive(Deserialize)]
 struct Intrinsics {
     f: f64,
@@ -135,11 +138,7 @@ impl Shots {
     }
 
     /// The same of lines of a table, and its lens.
-    pub(super) fn of(
-        (frames, lens): (Vec<Frame>, Option<Lens>),
-        file: &Path,
-        tracking: &Tracking,
-    ) -> Result<Self> {
+    pub(super) fn of((frames, lens): Table, file: &Path, tracking: &Tracking) -> Result<Self> {
         let folder = file.parent().unwrap_or(Path::new(""));
         let exposed = || frames.iter().filter(|frame| frame.exposure_s.is_some());
         // What only some of them say would be guessed of the others.
@@ -206,8 +205,8 @@ impl Shots {
     }
 }
 
-/// The lines of a table, and its lens if it says one.
-pub(super) fn read_frames(file: &Path, text: &str) -> Result<(Vec<Frame>, Option<Lens>)> {
+/// Reads a table's text; the file's name says its format.
+pub(super) fn read_frames(file: &Path, text: &str) -> Result<Table> {
     if file.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("csv")) {
         let frames =
             csv::Reader::from_reader(text.as_bytes()).deserialize().collect::<std::result::Result<_, _>>();

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use glam::DQuat;
 
 use super::views::SUREST_RAD;
-use crate::environment::shots::{Frame, TABLES, read_frames};
-use crate::geometry::{Lens, world_from_camera};
+use crate::environment::shots::{TABLES, Table, read_frames};
+use crate::geometry::world_from_camera;
 use crate::{Error, Result, file};
 
 /// A photograph that has its place: camera frame to the world, how surely, radians, and when it was taken.
@@ -24,7 +24,7 @@ pub(super) fn table_in(folder: &Path) -> Option<PathBuf> {
 }
 
 /// The ended lines of a table with its lens, and whether another one is begun.
-pub(super) fn ended(table: &Path) -> Result<((Vec<Frame>, Option<Lens>), bool)> {
+pub(super) fn ended(table: &Path) -> Result<(Table, bool)> {
     let text = fs::read_to_string(table).map_err(Error::io("read", table))?;
     let has_lines = table.extension().is_some_and(|kind| kind == "csv");
     let end = if has_lines { text.rfind('\n').map_or(0, |at| at + 1) } else { text.len() };

@@ -292,3 +292,47 @@ fn joined(
     }
     of.iter().map(|&own| first[own]).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Error;
+    use crate::environment::Unit;
+    use crate::progress::Silent;
+
+    struct Stop;
+
+    impl Progress for Stop {
+        fn step(&self, _: usize, _: usize) -> Result<()> {
+            Err(Error::Interrupted)
+        }
+    }
+
+    #[test]
+    fn what_lies_around_a_lamp_at_the_pole_is_beside_it_and_the_search_can_be_stopped() {
+        let (size, radius, unsure) = (LatLong::new(1024, 512).unwrap(), 0.1, 0.02);
+        let lamp = DVec3::new(0.05, 1.0, 0.02).normalize();
+        let off = |i: usize| {
+            let at = DVec2::new((i % size.width()) as f64, (i / size.width()) as f64);
+            size.direction(at).angle_between(lamp)
+        };
+        let radiance = (0..size.count()).map(|i| [if off(i) < radius { 50.0 } else { 0.5 }; 3]);
+        let map = EnvironmentMap {
+            size,
+            radiance: radiance.collect(),
+            variance: vec![],
+            coverage: vec![],
+            flags: vec![],
+            unit: Unit::Unknown,
+        };
+        let lamps = Lamps::of(&map, unsure, &Silent).unwrap();
+        assert!(lamps.found.len() == 1 && lamps.found[0].0.angle_between(lamp) < 0.01);
+        let (pixel, around) = (std::f64::consts::PI / size.height() as f64, AROUND_RAD + 2.0 * unsure);
+        for i in 0..size.count() {
+            assert_eq!(lamps.near[i].1, off(i) < radius);
+            assert!(lamps.is_near(i) || off(i) > radius + around - 2.0 * pixel, "{i}");
+            assert!(!lamps.is_near(i) || off(i) < radius + 2.0 * around + 2.0 * pixel, "{i}");
+        }
+        assert!(matches!(Lamps::of(&map, unsure, &Stop), Err(Error::Interrupted)));
+    }
+}
