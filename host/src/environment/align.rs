@@ -4,7 +4,7 @@ use glam::{DQuat, DVec2, DVec3};
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix3x2, Vector3};
 use rayon::prelude::*;
 
-use super::features::{Corners, Gray, matches};
+use super::features::{Corners, Gray, aligned, matches};
 use super::tracked::Pair;
 use crate::Result;
 use crate::geometry::Lens;
@@ -40,6 +40,8 @@ pub(super) struct Aligned {
     /// Per photograph, how many corners matched.
     pub matched: Vec<usize>,
     pub lens: Lens,
+    /// Of the focal length, relative; 0 where it was not asked.
+    pub focal_sigma: f64,
     /// Median distance of matched corners, radians; 0 where there are none.
     pub residual_rad: f64,
     /// Whether matches link a photograph with most others that they link.
@@ -69,6 +71,7 @@ pub(super) fn align(
         sigma_rad: priors.iter().map(|prior| prior.sigma_rad).collect(),
         matched: vec![0; priors.len()],
         lens: grays[0].lens,
+        focal_sigma: 0.0,
         residual_rad: 0.0,
         is_linked: vec![false; priors.len()],
     };
@@ -102,7 +105,11 @@ pub(super) fn align(
                 // From all over the picture, as corners are counted cell by cell.
                 let most = kept.len().min(MOST);
                 let kept = (0..most).map(|k| kept[k * kept.len() / most]);
-                Ok(kept.map(|k| Match { frames: [i, j], at: pairs[k] }).collect())
+                let exact = |[a, b]: [DVec2; 2]| {
+                    // Only from the second search on are the orientations good enough for it.
+                    if search == 0 { [a, b] } else { [aligned((&grays[i], a), (&grays[j], b), turn), b] }
+                };
+                Ok(kept.map(|k| Match { frames: [i, j], at: exact(pairs[k]) }).collect())
             })
             .collect::<Result<_>>()?;
         let all: Vec<Match> = found.into_iter().flatten().collect();
@@ -337,6 +344,7 @@ fn adjust(
         scale = state.residual_rad.max(0.2 / lens.fx).max(0.6 * scale);
         if round + 1 == ROUNDS {
             let covariance = cholesky.inverse();
+            state.focal_sigma = covariance[(lens_at, lens_at)].sqrt();
             for (i, sigma) in state.sigma_rad.iter_mut().enumerate() {
                 let sum: f64 = (0..3).map(|c| covariance[(3 * i + c, 3 * i + c)]).sum();
                 *sigma = (sum / 3.0).sqrt();

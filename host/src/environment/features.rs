@@ -17,6 +17,10 @@ const BETTER: f32 = 0.75;
 /// A patch whose levels (of 1) vary less than this shows nothing.
 const FLAT: f32 = 0.01;
 
+/// Of [`aligned`].
+const STEPS: usize = 5;
+const FARTHEST_PX: f64 = 1.5;
+
 type Patch = [f32; SIDE * SIDE];
 
 /// Brightness of a photograph, 0 to 1, no larger than corners need, and its lens at that size.
@@ -81,12 +85,12 @@ impl Gray {
         Some(line(y * width + x) * (1.0 - t) + line((y + 1) * width + x) * t)
     }
 
-    /// A patch around a pixel with mean 0 and length 1, `across` taking its steps to pixels.
-    fn patch(&self, at: DVec2, across: DMat2) -> Option<Patch> {
+    /// A patch with mean 0 and length 1, `place` taking steps from its middle to pixels.
+    fn patch(&self, place: impl Fn(DVec2) -> Option<DVec2>) -> Option<Patch> {
         let mut patch = [0.0; SIDE * SIDE];
         for (i, value) in patch.iter_mut().enumerate() {
             let step = DVec2::new((i % SIDE) as f64, (i / SIDE) as f64) - (SIDE - 1) as f64 / 2.0;
-            *value = self.value(at + across * (step * SPACING))?;
+            *value = self.value(place(step * SPACING)?)?;
         }
         let mean = patch.iter().sum::<f32>() / patch.len() as f32;
         patch.iter_mut().for_each(|value| *value -= mean);
@@ -150,9 +154,49 @@ impl Gray {
             cell.truncate(PER_CELL);
         }
         let at: Vec<DVec2> = cells.into_iter().flatten().map(|(_, at)| at).collect();
-        let patches = at.iter().map(|&at| self.patch(at, DMat2::IDENTITY)).collect();
+        let patches = at.iter().map(|&at| self.patch(|step| Some(at + step))).collect();
         Corners { at, patches }
     }
+}
+
+/// Where in the first photograph the surroundings of a corner of the second lie, from a place at most [`FARTHEST_PX`] off: Gauss and Newton on the
+/// shift, after brightness and contrast of both patches are taken away (Lucas and Kanade, IJCAI 1981). The place itself where that does not
+/// make them more alike.
+pub(super) fn aligned(
+    (first, place): (&Gray, DVec2),
+    (second, corner): (&Gray, DVec2),
+    first_from_second: DQuat,
+) -> DVec2 {
+    let try_it = || {
+        // Straight lines of one photograph are bent in the other by more than what is looked for: no affine map will do.
+        let second_from_first = first_from_second.inverse();
+        let there = |at: DVec2| second.lens.project(second_from_first * first.lens.unproject(at)?);
+        let off = corner - there(place)?;
+        let wanted = second.patch(|step| Some(there(place + step)? + off))?;
+        let patch = |at: DVec2| first.patch(|step| Some(at + step));
+        let alike = |patch: &Patch| -> f32 { patch.iter().zip(&wanted).map(|(a, b)| a * b).sum() };
+        let before = alike(&patch(place)?);
+        let mut at = place;
+        for _ in 0..STEPS {
+            let here = patch(at)?;
+            let slope = |axis: DVec2| -> Option<Patch> {
+                let (before, after) = (patch(at - 0.5 * axis)?, patch(at + 0.5 * axis)?);
+                Some(std::array::from_fn(|i| after[i] - before[i]))
+            };
+            let (by_x, by_y) = (slope(DVec2::X)?, slope(DVec2::Y)?);
+            let dot = |a: &Patch, b: &Patch| f64::from(a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>());
+            let off: Patch = std::array::from_fn(|i| wanted[i] - here[i]);
+            let (xx, xy, yy) = (dot(&by_x, &by_x), dot(&by_x, &by_y), dot(&by_y, &by_y));
+            let normal = DMat2::from_cols(DVec2::new(xx, xy), DVec2::new(xy, yy));
+            let step = normal.inverse() * DVec2::new(dot(&by_x, &off), dot(&by_y, &off));
+            if !step.is_finite() {
+                return None;
+            }
+            at += step.clamp_length_max(0.5);
+        }
+        (at.distance(place) < FARTHEST_PX && alike(&patch(at)?) >= before).then_some(at)
+    };
+    try_it().unwrap_or(place)
 }
 
 /// Pairs of corners (of the first and of the second photograph) that look alike and lie within `reach_rad` of where the rotation
@@ -197,7 +241,7 @@ pub(super) fn matches(
             continue;
         }
         let turn = DMat2::from_cols((right - left) / 2.0, (down - up) / 2.0);
-        let Some(patch) = second.patch(at, turn) else { continue };
+        let Some(patch) = second.patch(|step| Some(at + turn * step)) else { continue };
         let (mut best, mut next) = ((f32::NEG_INFINITY, usize::MAX), f32::NEG_INFINITY);
         let around = |at: f64, most: usize| {
             (at.floor() as isize - 1).max(0) as usize..((at.floor() as isize + 2).max(0) as usize).min(most)

@@ -105,6 +105,9 @@ const NEAR: f64 = 0.7;
 /// A gain's own standard deviation counts up to this, relative: without stated exposures most of it is what all photographs share.
 const GAIN_SIGMA: f64 = 0.02;
 
+/// How sure a calibrated focal length is, relative.
+const CALIBRATED_SIGMA: f64 = 0.005;
+
 /// Makes a map of photographs. Where exposures are stated, radiance 1 is what saturates a photograph whose exposure is 1 (a second, where the
 /// file says neither sensitivity nor f-number); else its unit is that of the mean photograph.
 ///
@@ -166,6 +169,9 @@ pub fn mosaic(shots: &Shots, options: &Options, progress: &dyn Progress) -> Resu
     let (aligned, known, corners) = orient(shots, options, (&pictures, &lens, calibrated), progress)?;
     require_partners(shots, &aligned, &corners, &lens)?;
     let grown = if options.refine { aligned.lens.fx / gray_fx(&lens) } else { 1.0 };
+    if calibrated && (grown - 1.0).abs() > CALIBRATED_SIGMA.max(3.0 * aligned.focal_sigma) {
+        notes.push(off_centre(grown, aligned.focal_sigma));
+    }
     let lens = Lens { fx: lens.fx * grown, fy: lens.fy * grown, k1: aligned.lens.k1, ..lens };
     let unmatched: Vec<String> = all
         .iter()
@@ -287,6 +293,7 @@ fn orient(
             sigma_rad: priors.iter().map(|prior| prior.sigma_rad).collect(),
             matched: vec![0; priors.len()],
             lens: *lens,
+            focal_sigma: 0.0,
             residual_rad: 0.0,
             is_linked: vec![false; priors.len()],
         };
@@ -300,7 +307,7 @@ fn orient(
     let grays: Vec<Gray> = pictures.par_iter().map(gray).collect();
     let corners: Vec<Corners> = grays.par_iter().map(Gray::corners).collect();
     let many = corners.iter().map(|corners| corners.at.len()).collect();
-    let doubt = if calibrated { (0.005, 0.005) } else { (0.05, 0.05) };
+    let doubt = if calibrated { (CALIBRATED_SIGMA, 0.005) } else { (0.05, 0.05) };
     let (Some(tracker), Some(known)) = (tracker, &mut known) else {
         return Ok((align(grays, &corners, given(), doubt, None, progress)?, None, many));
     };
@@ -320,6 +327,21 @@ fn orient(
     let aligned = align(grays, &corners, priors, doubt, Some(&mut refit), progress)?;
     let known = Some(known.clone());
     Ok((aligned, known, many))
+}
+
+/// What a focal length says that is not the calibrated one. A camera e in front of the point about which it turns sees what is D away from that point, at an
+/// angle a from its axis, at a + e/D sin(a) to first order, as with a focal length longer by e/D. An offset to the side is a turn
+/// that all photographs share.
+fn off_centre(grown: f64, sigma: f64) -> String {
+    let percent = 100.0 * (grown - 1.0);
+    format!(
+        "the photographs agree with a focal length {:.1} ± {:.2} % {} than the calibrated one, and the map takes it: the lens was focused otherwise, or it turned about a point {:.1} % of the scene's distance {} it (then things nearer than the rest are double)",
+        percent.abs(),
+        100.0 * sigma,
+        if percent > 0.0 { "longer" } else { "shorter" },
+        percent.abs(),
+        if percent > 0.0 { "behind" } else { "in front of" },
+    )
 }
 
 /// Refuses photographs full of corners most of which no other photograph shows where it should: what is made of them would be no map.

@@ -11,6 +11,7 @@ use rigel::geometry::{Lens, Pose, Surface, Texels};
 use rigel::parameter_map::ParameterMap;
 use rigel::shader::Look;
 use rigel_view::{Graphics, PICTURE, Plain, Scene, Shading, View};
+use wgpu::FilterMode;
 
 const TEXELS: Texels = Texels { columns: 512, rows: 512 };
 
@@ -51,8 +52,14 @@ fn main() -> Result<()> {
         TEXELS.rows
     );
     println!(
-        "{:>8} {:>12} {:>13} {:>9} {:>9} {:>22}",
-        "model", "plain, half", "plain, single", "by pixel", "by texel", "automatic / best plain"
+        "{:>8} {:>12} {:>13} {:>14} {:>9} {:>9} {:>22}",
+        "model",
+        "plain, half",
+        "plain, single",
+        "plain, nearest",
+        "by pixel",
+        "by texel",
+        "automatic / best plain"
     );
     let target = graphics.target(width, height);
     // The surface fills the picture's height.
@@ -77,19 +84,20 @@ fn main() -> Result<()> {
         ["phong", "phong2", "phong4", "msh15", "sh16", "msh36", "sh36", "msh66", "sh64", "msh91", "sh100"]
     {
         let map = random(Model::parse(name)?);
-        let plain = |is_single| match Plain::new(&graphics, &map, is_single) {
+        let plain = |is_single, filter| match Plain::new(&graphics, &map, is_single, filter) {
             Ok(plain) => rate(&|view| plain.draw(&graphics, view, &target)),
             // A model that it cannot show, or a device that does not interpolate.
             Err(_) => Ok(f64::NAN),
         };
-        let (half, single) = (plain(false)?, plain(true)?);
+        let (half, single) = (plain(false, FilterMode::Linear)?, plain(true, FilterMode::Linear)?);
+        let nearest = plain(true, FilterMode::Nearest)?;
         let scene = Scene::new(&graphics, &map, PICTURE)?;
         let ours = |shading| rate(&|view| scene.draw(&graphics, &View { shading, ..*view }, &target));
         let (by_pixel, by_texel, automatic) =
             (ours(Shading::ByPixel)?, ours(Shading::ByTexel)?, ours(Shading::Automatic)?);
         println!(
-            "{name:>8} {half:>12.1} {single:>13.1} {by_pixel:>9.1} {by_texel:>9.1} {:>22.2}",
-            automatic / half.max(single)
+            "{name:>8} {half:>12.1} {single:>13.1} {nearest:>14.1} {by_pixel:>9.1} {by_texel:>9.1} {:>22.2}",
+            automatic / half.max(single).max(nearest)
         );
     }
     Ok(())

@@ -27,11 +27,11 @@ pub struct Plain {
 
 impl Plain {
     /// Brings a map of harmonics or of `phong` onto the device: half floats, or single ones where `is_single` says so and the
-    /// device interpolates them.
+    /// device interpolates them. `filter` is between texels: [`FilterMode::Nearest`] is fast and shows squares.
     ///
     /// # Errors
     /// [`Error::Request`] for other models, and where the device does not interpolate single floats.
-    pub fn new(graphics: &Graphics, map: &ParameterMap, is_single: bool) -> Result<Self> {
+    pub fn new(graphics: &Graphics, map: &ParameterMap, is_single: bool, filter: FilterMode) -> Result<Self> {
         let model = map.models[0];
         let refused = |what: &str| Error::request(format!("{}: {what}", map.name()), "compare another model");
         let text = plain_source(&model).ok_or_else(|| refused("there is no plain shader for it"))?;
@@ -99,8 +99,8 @@ impl Plain {
             mapped_at_creation: false,
         });
         let sampler = device.create_sampler(&SamplerDescriptor {
-            mag_filter: FilterMode::Linear,
-            min_filter: FilterMode::Linear,
+            mag_filter: filter,
+            min_filter: filter,
             ..SamplerDescriptor::default()
         });
         let view = texture.create_view(&TextureViewDescriptor {
