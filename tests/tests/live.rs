@@ -9,7 +9,7 @@ use std::time::{Duration, UNIX_EPOCH};
 
 use glam::DQuat;
 use rigel::environment::{Arrival, Live, MergeOptions, Options, Place, Shots, Tracking, Wanted, mosaic};
-use rigel::geometry::{LatLong, Lens};
+use rigel::geometry::{LatLong, Lens, world_from_camera};
 use rigel::progress::Silent;
 use rigel_simulated::tour::{Tour, apart};
 
@@ -61,6 +61,18 @@ fn records_until(from: &Path, time_s: f64) -> String {
     head(from, "tracker.jsonl", |_, line| at_s(line) <= START_S + time_s)
 }
 
+/// A line of a table that says how a photograph was turned.
+fn turned(name: &str, turn: DQuat) -> String {
+    let q = turn * world_from_camera(DQuat::IDENTITY).inverse();
+    format!("{name},{},{},{},{}\n", q.w, q.x, q.y, q.z)
+}
+
+/// Such a table of the first photographs.
+fn table_of(tour: &Tour, count: usize) -> String {
+    let lines = (0..count).map(|i| turned(&photograph(i), tour.truth()[i]));
+    format!("file,qw,qx,qy,qz\n{}", lines.collect::<String>())
+}
+
 /// What has come, in three looks: only a table, and then a photograph, that has not grown since the last one counts.
 fn come(live: &mut Live) -> Vec<Arrival> {
     let mut all = live.look().unwrap();
@@ -107,7 +119,7 @@ fn a_table_and_records_that_grow_place_every_photograph_as_it_comes() {
     assert!(rms < 1.1, "{rms}");
     assert!((0.4..1.6).contains(&score), "{score}");
     assert!((live.coverage().unwrap().seen().0 - seen).abs() < 1e-9);
-    assert!(live.finish().unwrap().is_empty());
+    assert!(live.finish().unwrap().1.is_empty());
 }
 
 #[test]
@@ -123,7 +135,7 @@ fn without_a_table_the_time_of_the_file_and_the_tracker_tell_and_the_map_follows
     let arrivals = come(&mut live);
     let turns: Vec<DQuat> = placed(&arrivals).iter().map(|place| place.turn).collect();
     assert!(rms_deg(&turns, &tour.truth()) < 1.1);
-    assert!(live.finish().unwrap().is_empty());
+    assert!(live.finish().unwrap().1.is_empty());
     let shots = Shots::read(to).unwrap();
     let made = mosaic(&shots, &options(&tour), &Silent).unwrap();
     let refined: Vec<DQuat> = made.placed.iter().map(|placed| placed.world_from_camera).collect();
@@ -160,7 +172,7 @@ fn without_a_tracker_photographs_tell_their_own_places_and_late_ones_are_not_los
     let rms = rms_deg(&turns, &tour.truth());
     println!("{rms:.2} degrees RMS");
     assert!(rms < 1.5, "{rms}");
-    assert!(live.finish().unwrap().is_empty());
+    assert!(live.finish().unwrap().1.is_empty());
     let made = mosaic(&Shots::read(to).unwrap(), &options(&tour), &Silent).unwrap();
     let refined: Vec<DQuat> = made.placed.iter().map(|placed| placed.world_from_camera).collect();
     assert!(rms_deg(&refined, &tour.truth()) < 0.1, "{}", rms_deg(&refined, &tour.truth()));
@@ -207,8 +219,180 @@ fn a_tracker_that_was_silent_places_nothing_and_says_so() {
     arrivals.extend(come(&mut live));
     assert_eq!((arrivals.len(), live.count()), (6, 3));
     assert!(arrivals[3..].iter().all(|arrival| arrival.place.clone().unwrap_err().contains("said nothing")));
-    let notes = live.finish().unwrap();
+    let (_, notes) = live.finish().unwrap();
     assert!(notes[0].contains("005.png"), "{notes:?}");
     let table = fs::read_to_string(to.join("frames.csv")).unwrap();
     assert!(table.contains("002.png") && !table.contains("003.png"), "{table}");
+}
+
+#[test]
+fn a_table_that_comes_later_counts_from_the_beginning_and_is_never_written_over() {
+    let tour = Tour { photographs: 4, laps: 0.15, ..tour() };
+    let (all, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (from, to) = (all.path(), folder.path());
+    tour.write(from).unwrap();
+    let open = || Live::open(to, &Tracking::default(), Wanted::default(), |_| Ok(options(&tour))).unwrap();
+    let mut live = open();
+    (0..3).for_each(|i| put(from, to, i, &tour));
+    assert_eq!(placed(&come(&mut live)).len(), 3);
+    // Who does not look again must not write over it either.
+    let table = table_of(&tour, 2);
+    fs::write(to.join("frames.csv"), &table).unwrap();
+    let (shots, notes) = live.finish().unwrap();
+    assert_eq!((shots.shots.len(), fs::read_to_string(to.join("frames.csv")).unwrap()), (2, table));
+    assert!(notes[0].contains("002.png") && notes[0].contains("does not list it"), "{notes:?}");
+    fs::remove_file(to.join("frames.csv")).unwrap();
+    let mut live = open();
+    assert_eq!(placed(&come(&mut live)).len(), 3);
+    let seen = live.coverage().unwrap().seen().0;
+    let table = table_of(&tour, 4);
+    fs::write(to.join("frames.csv"), &table).unwrap();
+    put(from, to, 3, &tour);
+    let arrivals = come(&mut live);
+    assert!(arrivals[0].name == "frames.csv" && arrivals[0].place.is_err(), "{arrivals:?}");
+    let places = placed(&arrivals[1..]);
+    assert_eq!((places.len(), live.count()), (4, 4));
+    for (place, truth) in places.iter().zip(tour.truth()) {
+        assert!(place.turn.angle_between(truth) < 1e-6);
+    }
+    // Nothing of where they seemed to be before is left.
+    let gained: f64 = places.iter().map(|place| place.gained).sum();
+    assert!((live.coverage().unwrap().seen().0 - gained).abs() < 1e-9 && gained > seen);
+    assert!(live.finish().unwrap().1.is_empty());
+    assert_eq!(fs::read_to_string(to.join("frames.csv")).unwrap(), table);
+}
+
+#[test]
+fn a_map_is_made_of_those_that_have_a_place_and_of_the_others_it_is_said_why() {
+    let tour = Tour { photographs: 6, laps: 0.2, ..tour() };
+    let (all, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (from, to) = (all.path(), folder.path());
+    tour.write(from).unwrap();
+    (0..6).for_each(|i| put(from, to, i, &tour));
+    image::RgbImage::new(50, 40).save(to.join("small.png")).unwrap();
+    fs::copy(from.join("000.png"), to.join("unsaid.png")).unwrap();
+    fs::copy(from.join("000.png"), to.join("unlisted.png")).unwrap();
+    fs::write(to.join("half.png"), &fs::read(from.join("000.png")).unwrap()[..500]).unwrap();
+    let turn = tour.truth()[0];
+    let others: String = ["small.png", "missing.png", "half.png"].map(|name| turned(name, turn)).concat();
+    fs::write(to.join("frames.csv"), table_of(&tour, 6) + &others + "unsaid.png,,,,\n").unwrap();
+    let mut live = Live::open(to, &Tracking::default(), Wanted::default(), |_| Ok(options(&tour))).unwrap();
+    come(&mut live);
+    assert!(live.count() == 6 && !live.is_settled(), "one is not whole");
+    let (shots, notes) = live.finish().unwrap();
+    let names: Vec<String> = shots.shots.iter().map(rigel::environment::Shot::name).collect();
+    assert_eq!(names, (0..6).map(photograph).collect::<Vec<_>>());
+    for (name, why) in [
+        ("small.png", "50x40"),
+        ("missing.png", "not there"),
+        ("half.png", "too late"),
+        ("unsaid.png", "neither how"),
+        ("unlisted.png", "does not list"),
+    ] {
+        assert!(notes.iter().any(|note| note.starts_with(name) && note.contains(why)), "{name}: {notes:?}");
+    }
+    assert_eq!(notes.len(), 5);
+    assert_eq!(mosaic(&shots, &options(&tour), &Silent).unwrap().placed.len(), 6);
+}
+
+#[test]
+fn what_follows_the_last_line_break_of_a_table_waits_and_so_does_what_cannot_be_read_yet() {
+    let tour = Tour { photographs: 3, laps: 0.05, ..tour() };
+    let (all, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (from, to) = (all.path(), folder.path());
+    tour.write(from).unwrap();
+    (0..3).for_each(|i| put(from, to, i, &tour));
+    let open = || Live::open(to, &Tracking::default(), Wanted::default(), |_| Ok(options(&tour))).unwrap();
+    let (one, two) = (table_of(&tour, 1), table_of(&tour, 2));
+    let file = to.join("frames.csv");
+    fs::write(&file, &one).unwrap();
+    let mut live = open();
+    assert_eq!(placed(&come(&mut live)).len(), 1);
+    for end in one.len()..two.len() {
+        fs::write(&file, &two[..end]).unwrap();
+        assert!(come(&mut live).is_empty(), "{end}");
+    }
+    std::thread::sleep(Duration::from_millis(3100));
+    let arrivals = come(&mut live);
+    assert!(arrivals.len() == 1 && arrivals[0].place.clone().unwrap_err().contains("last line break"));
+    assert!(come(&mut live).is_empty(), "once is enough");
+    fs::write(&file, &two).unwrap();
+    let places = placed(&come(&mut live));
+    assert!(places.len() == 1 && places[0].turn.angle_between(tour.truth()[1]) < 1e-6);
+    let notes = live.finish().unwrap().1;
+    assert!(notes.len() == 1 && notes[0].contains("002.png"), "{notes:?}");
+    // The same of a file that is nothing until it is whole.
+    fs::remove_file(&file).unwrap();
+    let file = to.join("frames.json");
+    let json = r#"{"frames": [{"file": "000.png", "yaw_deg": 0, "pitch_deg": 0, "roll_deg": 0}]}"#;
+    let mut live = open();
+    for end in (0..json.len()).step_by(7) {
+        fs::write(&file, &json[..end]).unwrap();
+        assert!(placed(&come(&mut live)).is_empty() && !live.is_settled(), "{end}");
+    }
+    fs::write(&file, json).unwrap();
+    assert_eq!(placed(&come(&mut live)).len(), 1);
+}
+
+#[test]
+fn names_are_kept_as_they_are_and_one_that_no_table_can_hold_is_refused() {
+    let tour = Tour { photographs: 4, laps: 0.15, ..tour() };
+    let (all, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (from, to) = (all.path(), folder.path());
+    tour.write(from).unwrap();
+    let mut live = Live::open(to, &Tracking::default(), Wanted::default(), |_| Ok(options(&tour))).unwrap();
+    let names = ["a, b.png", "say \"cheese\".png", "#1 ä.png", "\"left, right\".png"];
+    for (i, name) in names.iter().enumerate() {
+        put(from, to, i, &tour);
+        fs::rename(to.join(photograph(i)), to.join(name)).unwrap();
+    }
+    assert_eq!(placed(&come(&mut live)).len(), 4);
+    #[cfg(unix)]
+    {
+        let name = <std::ffi::OsStr as std::os::unix::ffi::OsStrExt>::from_bytes(b"\xff.png");
+        // Some file systems take no such names.
+        if fs::copy(from.join("000.png"), to.join(name)).is_ok() {
+            let arrivals = come(&mut live);
+            assert!(
+                arrivals.len() == 1 && arrivals[0].place.clone().unwrap_err().contains("another name"),
+                "{arrivals:?}"
+            );
+        }
+    }
+    let (shots, _) = live.finish().unwrap();
+    let paths = |shots: &Shots| -> Vec<_> { shots.shots.iter().map(|shot| shot.path.clone()).collect() };
+    assert_eq!(paths(&shots), names.map(|name| to.join(name)));
+    assert_eq!(paths(&Shots::read(to).unwrap()), paths(&shots));
+}
+
+#[test]
+fn a_first_photograph_that_shows_nothing_holds_nobody_up() {
+    let tour = Tour { photographs: 3, laps: 0.1, ..tour() };
+    let (all, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (from, to) = (all.path(), folder.path());
+    tour.write(from).unwrap();
+    let mut live = Live::open(to, &Tracking::default(), Wanted::default(), |_| Ok(options(&tour))).unwrap();
+    let wall = image::RgbImage::from_pixel(tour.lens.width, tour.lens.height, image::Rgb([90; 3]));
+    wall.save(to.join("wall.png")).unwrap();
+    let arrivals = come(&mut live);
+    assert!(arrivals.len() == 1 && arrivals[0].place.clone().unwrap_err().contains("too few details"));
+    (0..3).for_each(|i| put(from, to, i, &tour));
+    let (found, not): (Vec<Arrival>, _) = come(&mut live).into_iter().partition(|a| a.place.is_ok());
+    assert!(found.len() == 3 && not.iter().all(|arrival| arrival.name == "wall.png"), "{not:?}");
+    assert!(live.is_settled());
+    assert!(live.finish().unwrap().1[0].contains("wall.png"));
+}
+
+#[test]
+fn a_tracker_that_is_described_must_be_there() {
+    let (tour, folder) = (tour(), tempfile::tempdir().unwrap());
+    let open = || Live::open(folder.path(), &tracking(&tour), Wanted::default(), |_| Ok(options(&tour)));
+    let refused = open().err().unwrap().to_string();
+    assert!(refused.contains("tracker.jsonl") && refused.contains("--delay"), "{refused}");
+    fs::write(folder.path().join("tracker.jsonl"), "").unwrap();
+    fs::write(folder.path().join("frames.csv"), table_of(&tour, 2)).unwrap();
+    let mut live = open().unwrap();
+    // What says the orientations itself asks no tracker.
+    let refused = (0..2).find_map(|_| live.look().err()).unwrap().to_string();
+    assert!(refused.contains("frames.csv") && refused.contains("--delay"), "{refused}");
 }

@@ -22,8 +22,12 @@ fn wall(d: DVec3) -> f64 {
 }
 
 fn map(seen: impl Fn(DVec3) -> bool) -> EnvironmentMap {
-    let size = LatLong::new(512, 256).unwrap();
-    let at = |i: usize| size.direction(DVec2::new((i % 512) as f64, (i / 512) as f64));
+    map_of(256, seen)
+}
+
+fn map_of(rows: u32, seen: impl Fn(DVec3) -> bool) -> EnvironmentMap {
+    let size = LatLong::new(2 * rows, rows).unwrap();
+    let at = |i: usize| size.direction(DVec2::new((i % size.width()) as f64, (i / size.width()) as f64));
     let flags: Vec<u8> =
         (0..size.count()).map(|i| if seen(at(i)) { 0 } else { EnvironmentMap::UNSEEN }).collect();
     let radiance = (0..size.count()).map(|i| if flags[i] == 0 { [wall(at(i)) as f32; 3] } else { [0.0; 3] });
@@ -132,12 +136,63 @@ fn what_has_changed_by_itself_is_replaced_and_what_was_unknown_added() {
 #[test]
 fn photographs_that_are_a_degree_off_are_turned_to_the_map() {
     let folder = tempfile::tempdir().unwrap();
-    let map = map(|_| true);
-    let made = made(&map, &photographs(folder.path(), |d| [wall(d); 3], 0.02), true).unwrap();
-    let sigma = made.turned_sigma_rad.unwrap();
-    println!("turned by {:.4} ± {sigma:.4}, {:.4} replaced", made.turned_rad, made.replaced);
-    assert!((made.turned_rad - 0.02).abs() < 0.004 && !made.is_changed && made.replaced < 0.001);
-    assert!((made.turned_rad - 0.02).abs() < 3.0 * sigma && sigma < 0.004);
+    // Also where rows are no multiple of blocks.
+    for rows in [256, 250, 100] {
+        let map = map_of(rows, |_| true);
+        let made = made(&map, &photographs(folder.path(), |d| [wall(d); 3], 0.02), true).unwrap();
+        let sigma = made.turned_sigma_rad.unwrap();
+        println!("{rows}: turned by {:.4} ± {sigma:.4}, {:.4} replaced", made.turned_rad, made.replaced);
+        assert!((made.turned_rad - 0.02).abs() < 0.004 && !made.is_changed && made.replaced < 0.001);
+        assert!((made.turned_rad - 0.02).abs() < 3.0 * sigma && sigma < 0.006);
+    }
+    // And where there are fewer rows than blocks.
+    let small =
+        made(&map_of(50, |_| true), &photographs(folder.path(), |d| [wall(d); 3], 0.02), true).unwrap();
+    println!("50: turned by {:.4} ± {:?}", small.turned_rad, small.turned_sigma_rad);
+    assert!((small.turned_rad - 0.02).abs() < 3.0 * small.turned_sigma_rad.unwrap());
+}
+
+#[test]
+fn a_lamp_that_was_switched_off_leaves_what_the_photographs_show() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut map = map(|_| true);
+    let lamp = DVec3::new(0.2, 0.1, -1.0).normalize();
+    let at = |i: usize| DVec2::new((i % 512) as f64, (i / 512) as f64);
+    let off = |i: usize| LatLong::new(512, 256).unwrap().direction(at(i)).angle_between(lamp);
+    // With a glow around it that goes with it.
+    for i in 0..map.radiance.len() {
+        let own = if off(i) < 0.06 {
+            40.0
+        } else if off(i) < 0.12 {
+            3.5
+        } else {
+            0.0
+        };
+        map.radiance[i] = map.radiance[i].map(|wall| wall + own);
+    }
+    // It shows the wall then, or is as black as its room.
+    for dark in [1.0, 0.0] {
+        let truth = |d: DVec3| wall(d) * if d.angle_between(lamp) < 0.06 { dark } else { 1.0 };
+        let made = made(&map, &photographs(folder.path(), |d| [truth(d); 3], 0.0), false).unwrap();
+        println!("{:?}, {:.4} replaced", made.lamps, made.replaced);
+        assert!(made.lamps.len() == 1 && made.lamps[0].direction.angle_between(lamp) < 0.01);
+        assert!(!made.lamps[0].is_own && made.lamps[0].factor.is_none());
+        // But for the edge, between pixels of both.
+        for i in (0..map.radiance.len()).filter(|&i| off(i) < 0.1 && (off(i) - 0.06).abs() > 0.015) {
+            let (truth, now) = (truth(map.size.direction(at(i))), f64::from(made.map.radiance[i][1]));
+            assert!((now - truth).abs() < 0.15 * truth.max(0.1), "{now} {truth} at {}", off(i));
+        }
+    }
+    // Where it was black, and is not: but for cells that were so in part.
+    let holed = |d: DVec3| if d.angle_between(lamp) < 0.06 { 0.0 } else { wall(d) as f32 };
+    for i in 0..map.radiance.len() {
+        map.radiance[i] = [holed(map.size.direction(at(i))); 3];
+    }
+    let made = made(&map, &photographs(folder.path(), |d| [wall(d); 3], 0.0), false).unwrap();
+    for i in (0..map.radiance.len()).filter(|&i| off(i) < 0.04) {
+        let (truth, now) = (wall(map.size.direction(at(i))), f64::from(made.map.radiance[i][1]));
+        assert!((now / truth - 1.0).abs() < 0.15, "{now} {truth} at {}", off(i));
+    }
 }
 
 #[test]

@@ -12,11 +12,11 @@ use crate::{Error, Result, file};
 
 /// Rows of cells.
 const ROWS: u32 = 180;
-/// Directions that are thought of as the next lie so far apart, degrees.
-const STEP_DEG: usize = 10;
+/// Directions that are thought of as the next lie no farther apart, degrees, and by no more than half of what a photograph shows.
+const STEP_DEG: f64 = 10.0;
 /// Of directions that show nearly as much new as the best one, the nearest is taken.
 const NEARLY: f64 = 0.9;
-/// Less than this part of the sphere is not worth a photograph.
+/// Less than this part of what is wanted is not worth a photograph.
 const REST: f64 = 0.001;
 /// Pixels of the picture along a cell's side.
 const SIDE: usize = 3;
@@ -93,17 +93,21 @@ impl Wanted {
     /// [`Error::Request`] where no elevation is wanted, or no photograph could overlap another as much as is wanted.
     pub fn require(&self) -> Result<()> {
         let Self { lowest_rad, highest_rad, overlap } = *self;
-        if lowest_rad < highest_rad && (0.0..0.95).contains(&overlap) {
+        let band = lowest_rad..=highest_rad;
+        let is_on_sphere = lowest_rad >= -FRAC_PI_2 - 1e-9 && highest_rad <= FRAC_PI_2 + 1e-9;
+        let has_cells =
+            (0..ROWS).any(|row| band.contains(&(FRAC_PI_2 - (f64::from(row) + 0.5) * PI / f64::from(ROWS))));
+        if is_on_sphere && has_cells && (0.0..0.95).contains(&overlap) {
             return Ok(());
         }
         Err(Error::request(
             format!(
-                "elevations from {:.0} to {:.0} degrees with an overlap of {:.0} %",
+                "elevations from {:.1} to {:.1} degrees with an overlap of {:.0} %",
                 lowest_rad.to_degrees(),
                 highest_rad.to_degrees(),
                 100.0 * overlap
             ),
-            "give a lowest elevation below the highest one, and an overlap below 95 %",
+            "give elevations from -90 to 90 degrees, the lowest one at least a degree below the highest one, and an overlap below 95 %",
         ))
     }
 }
@@ -124,6 +128,8 @@ pub struct Coverage {
     last: DQuat,
     /// How far from its axis a photograph shows anything.
     reach_rad: f64,
+    /// Steps from pole to pole between directions that are thought of.
+    steps: usize,
 }
 
 impl Coverage {
@@ -144,7 +150,20 @@ impl Coverage {
         let cells = (0..size.count()).map(cell).collect();
         let last = world_from_camera(DQuat::IDENTITY);
         let reach_rad = border(lens).map(|ray| ray.z.clamp(-1.0, 1.0).acos()).fold(0.0, f64::max);
-        Ok(Self { size, lens, wanted, cells, last, reach_rad })
+        let (across, down) = (f64::from(lens.width) - 0.5, f64::from(lens.height) - 0.5);
+        let angle = |from: DVec2, to: DVec2| {
+            Some(lens.unproject(from)?.angle_between(lens.unproject(to)?)).filter(|angle| *angle > 0.0)
+        };
+        let middle = DVec2::new(across - 0.5, down - 0.5) / 2.0;
+        let sides = [
+            angle(DVec2::new(-0.5, middle.y), DVec2::new(across, middle.y)),
+            angle(DVec2::new(middle.x, -0.5), DVec2::new(middle.x, down)),
+        ];
+        let shortest = sides.into_iter().flatten().fold(f64::INFINITY, f64::min).to_degrees();
+        // Nothing is told apart that is smaller than a cell.
+        let step_deg = (shortest / 2.0).clamp(180.0 / f64::from(ROWS), STEP_DEG);
+        let steps = (180.0 / step_deg).ceil() as usize;
+        Ok(Self { size, lens, wanted, cells, last, reach_rad, steps })
     }
 
     /// Adds a photograph, `turn` its camera frame (y down, z forward) to the world; tells the part of the sphere that it shows for the first time.
@@ -176,21 +195,29 @@ impl Coverage {
         (seen / (4.0 * PI), sum(&|cell| cell.is_wanted && cell.seen.is_some()) / wanted)
     }
 
+    /// Whether less than is worth a photograph is left of what is wanted.
+    pub fn is_done(&self) -> bool {
+        1.0 - self.seen().1 < REST
+    }
+
     /// Where the camera last pointed.
     pub fn last(&self) -> Pointing {
         Pointing::of(self.last * DVec3::Z)
     }
 
     /// Where the next photograph, upright, shows most of what is wanted and was not seen, and as much that was as is wanted; if nowhere, where it
-    /// overlaps most of those that show something new. `None` where what is left is not worth a photograph.
+    /// overlaps most of those that show something new. `None` where what is left is not worth a photograph ([`Self::is_done`]), or shows in no upright one.
     pub fn next(&self) -> Option<Next> {
-        let reach = self.reach_rad;
-        let places = (0..=180 / STEP_DEG).flat_map(|i| {
-            let elevation_deg = (i * STEP_DEG) as f64 - 90.0;
-            let is_pole = i == 0 || i == 180 / STEP_DEG;
-            (0..if is_pole { 1 } else { 360 / STEP_DEG }).map(move |k| Pointing {
-                azimuth_rad: ((k * STEP_DEG) as f64 - 180.0).to_radians(),
-                elevation_rad: elevation_deg.to_radians(),
+        if self.is_done() {
+            return None;
+        }
+        let (reach, steps) = (self.reach_rad, self.steps);
+        let step_rad = PI / steps as f64;
+        let places = (0..=steps).flat_map(|i| {
+            let is_pole = i == 0 || i == steps;
+            (0..if is_pole { 1 } else { 2 * steps }).map(move |k| Pointing {
+                azimuth_rad: k as f64 * step_rad - PI,
+                elevation_rad: i as f64 * step_rad - FRAC_PI_2,
             })
         });
         let low = self.wanted.lowest_rad - reach;
@@ -210,15 +237,10 @@ impl Coverage {
             }
             Next { pointing, gain: new / (4.0 * PI), overlap: seen / all.max(f64::MIN_POSITIVE) }
         };
-        let thought: Vec<Next> =
-            places.par_iter().map(thought).filter(|next| next.gain > 0.1 * REST).collect();
-        let unseen: f64 = (0..self.cells.len())
-            .filter(|&i| self.cells[i].is_wanted && self.cells[i].seen.is_none())
-            .map(|i| self.angle(i))
-            .sum();
-        if unseen / (4.0 * PI) < REST || thought.is_empty() {
-            return None;
-        }
+        let mut thought: Vec<Next> = places.par_iter().map(thought).filter(|next| next.gain > 0.0).collect();
+        // Slivers only where nothing else is left.
+        let most = thought.iter().map(|next| next.gain).fold(0.0, f64::max);
+        thought.retain(|next| next.gain > (0.1 * REST).min(0.5 * most));
         let linked: Vec<&Next> = thought.iter().filter(|next| next.overlap >= self.wanted.overlap).collect();
         let best = linked.iter().map(|next| next.gain).fold(0.0, f64::max);
         let axis = self.last * DVec3::Z;
@@ -390,6 +412,19 @@ mod tests {
     }
 
     #[test]
+    fn who_follows_with_a_long_lens_misses_nothing() {
+        // 9 by 7 degrees: directions ten degrees apart would leave gaps.
+        let wanted = Wanted { lowest_rad: -0.1, highest_rad: 0.1, overlap: 0.1 };
+        let mut coverage = Coverage::new(Lens::pinhole(320, 240, 2000.0), wanted).unwrap();
+        coverage.add(coverage.last, &picture());
+        for count in 0.. {
+            let Some(next) = coverage.next() else { break };
+            assert!(count < 400 && coverage.add(next.pointing.camera(), &picture()) > 0.0, "after {count}");
+        }
+        assert!(coverage.is_done() && coverage.seen().1 > 0.998, "{:?}", coverage.seen());
+    }
+
+    #[test]
     fn right_is_clockwise_from_above_and_up_is_up() {
         let ahead = Pointing::of(DVec3::NEG_Z);
         let (right, up) = ahead.to(Pointing::of(DVec3::X));
@@ -421,6 +456,11 @@ mod tests {
         for wanted in [
             Wanted { lowest_rad: 0.5, highest_rad: -0.5, ..Wanted::default() },
             Wanted { overlap: 1.0, ..Wanted::default() },
+            // Between two rows of cells, and beyond the zenith.
+            Wanted { lowest_rad: 0.0, highest_rad: 0.3f64.to_radians(), ..Wanted::default() },
+            Wanted { lowest_rad: 95f64.to_radians(), highest_rad: 100f64.to_radians(), ..Wanted::default() },
+            Wanted { lowest_rad: -2.0, ..Wanted::default() },
+            Wanted { highest_rad: f64::INFINITY, ..Wanted::default() },
             Wanted { overlap: f64::NAN, ..Wanted::default() },
         ] {
             let message = Coverage::new(lens(), wanted).err().unwrap().to_string();

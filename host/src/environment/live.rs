@@ -3,25 +3,27 @@
 //! The folder's table says how the camera was turned, or when; without a table the tracker's records at the time when a photograph was written do, and
 //! without a tracker its corners, beside those of earlier photographs. What is needed to make the map afterwards is written as `frames.csv`.
 
+mod table;
+mod views;
+
 use std::collections::{BTreeMap, BTreeSet};
-use std::fmt::Write as _;
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, UNIX_EPOCH};
 
 use glam::{DQuat, DVec3};
-use rayon::prelude::*;
 
-use super::align::between;
 use super::coverage::{Coverage, Pointing, Wanted};
-use super::features::{Corners, Gray};
 use super::mosaic::{Options, lens_of};
-use super::shots::{TABLES, Tracking, read_frames};
+use super::shots::{Frame, Shots, Tracking, is_tracked};
 use super::tracked::{DELAY_SIGMA_S, STATED_DELAY_SIGMA_S};
 use crate::camera::folder::list;
 use crate::geometry::{Lens, world_from_camera};
 use crate::picture::Picture;
 use crate::tracker::{Causal, Tail};
-use crate::{Error, Result, file};
+use crate::{Error, Result};
+use table::{Row, ended, name, table_in, write};
+use views::{View, Views};
 
 /// The tracker's jitter is forgotten in so many seconds.
 pub const MEMORY_S: f64 = 0.1;
@@ -29,20 +31,12 @@ pub const MEMORY_S: f64 = 0.1;
 const SILENT_S: f64 = 0.25;
 /// Records may come so much later than the photograph.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// A file that cannot be read and has not grown for so long is no photograph.
+/// A file that cannot be read and has not grown for so long is no photograph, or a table with a fault.
 const BROKEN: Duration = Duration::from_secs(3);
-/// Pixels across for corners, and for a look.
-const GRAY: u32 = 640;
+/// Pixels across for a look.
 const LOOK: u32 = 320;
-/// Photographs that are compared with a new one: the last ones, how far apart they may point (standard deviation about each axis, radians), and then those
-/// that know their own place best.
-const BESIDE: usize = 6;
-const APART_RAD: f64 = 0.3;
-const AROUND: usize = 4;
-/// Turns that were added up are no surer than this, radians.
-const SUREST_RAD: f64 = 0.017;
 
-/// A photograph that has come.
+/// A photograph that has come, or what is to be said of the table.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Arrival {
     /// Its file's name.
@@ -79,12 +73,16 @@ pub struct Live<'a> {
     said: Option<DQuat>,
     /// Sizes of files when they were last looked at, and since when.
     sizes: BTreeMap<PathBuf, (u64, Instant)>,
+    /// Photographs that were read, or never will be.
     known: BTreeSet<PathBuf>,
     waiting: Vec<Waiting>,
+    /// Why photographs have no place, and what is wrong with the table.
+    left: BTreeMap<PathBuf, String>,
+    is_settled: bool,
     /// The first photograph's size, and its lens.
     first: Option<((u32, u32), Lens)>,
     coverage: Option<Coverage>,
-    views: Vec<View>,
+    views: Views,
     placed: Vec<Row>,
 }
 
@@ -92,9 +90,11 @@ pub struct Live<'a> {
 struct Waiting {
     line: Line,
     small: Picture,
-    corners: Option<(Gray, Corners)>,
+    view: Option<View>,
+    /// With so many it was compared in vain.
+    compared: usize,
     since: Instant,
-    is_told: bool,
+    why: Option<&'static str>,
 }
 
 /// A photograph as the table, or the folder, has it.
@@ -105,33 +105,12 @@ struct Line {
     time_s: Option<f64>,
 }
 
-/// A photograph with its corners and its place.
-struct View {
-    gray: Gray,
-    corners: Corners,
-    turn: DQuat,
-    sigma_rad: f64,
-}
-
-struct Row {
-    path: PathBuf,
-    turn: DQuat,
-    sigma_rad: f64,
-    time_s: Option<f64>,
-}
-
-/// What is to be done with a photograph.
-enum Verdict {
-    At(DQuat, Option<f64>),
-    Later,
-    Unknown(&'static str),
-}
-
 impl<'a> Live<'a> {
     /// Looks into a folder; `options`, of which the lens counts, may depend on the first photograph.
     ///
     /// # Errors
-    /// [`Error::Io`] where the folder cannot be read, [`Error::Input`] for records that are no `tracker.jsonl`, or what [`Wanted::require`] refuses.
+    /// [`Error::Io`] where the folder cannot be read, [`Error::Input`] for records that are no `tracker.jsonl`, [`Error::Request`] where a tracker is described
+    /// and there are none, or what [`Wanted::require`] refuses.
     pub fn open(
         folder: &Path,
         tracking: &Tracking,
@@ -140,7 +119,6 @@ impl<'a> Live<'a> {
     ) -> Result<Self> {
         wanted.require()?;
         list(folder)?;
-        let table = TABLES.iter().map(|name| folder.join(name)).find(|table| table.exists());
         let beside = folder.join("tracker.jsonl");
         let records = tracking.file.clone().or_else(|| beside.exists().then_some(beside));
         if let Some(records) =
@@ -149,22 +127,30 @@ impl<'a> Live<'a> {
             let remedy = "give the tracker.jsonl that a capture writes";
             return Err(Error::input(records, "cannot be followed while it grows", remedy));
         }
+        if records.is_none() && *tracking != Tracking::default() {
+            return Err(Error::request(
+                format!("there is no tracker.jsonl in {}, so that no tracker is looked at", folder.display()),
+                "name the tracker's records with --tracker, record them with --rig, or leave --receiver, --delay and --mount out",
+            ));
+        }
         let tracker = records.map(|records| (Tail::new(&records, tracking.receiver), Causal::new(MEMORY_S)));
         Ok(Self {
             folder: folder.into(),
             tracking: tracking.clone(),
             options: Box::new(options),
             wanted,
-            table,
+            table: table_in(folder),
             lens: None,
             tracker,
             said: None,
             sizes: BTreeMap::new(),
             known: BTreeSet::new(),
             waiting: vec![],
+            left: BTreeMap::new(),
+            is_settled: false,
             first: None,
             coverage: None,
-            views: vec![],
+            views: Views::default(),
             placed: vec![],
         })
     }
@@ -203,28 +189,40 @@ impl<'a> Live<'a> {
         self.placed.len()
     }
 
+    /// Whether all that had come when it was last asked was read, and has its place or will have it only when more has come.
+    pub fn is_settled(&self) -> bool {
+        self.is_settled
+    }
+
     /// What has come since it was last asked. A photograph counts when it has not grown since the last time.
     ///
     /// # Errors
-    /// [`Error::Io`], or [`Error::Input`] for a table or records that cannot be used, or a lens for another size of photographs.
+    /// [`Error::Io`], or [`Error::Input`] for records that cannot be used, a table with orientations although a tracker was described, or a lens for another
+    /// size of photographs.
     pub fn look(&mut self) -> Result<Vec<Arrival>> {
-        self.hear()?;
         let mut told = vec![];
-        for line in self.lines()? {
-            if !self.known.contains(&line.path) && self.is_whole(&line.path)? {
+        self.find_table(&mut told);
+        self.hear()?;
+        let lines = self.lines(&mut told)?;
+        self.is_settled = lines.is_some();
+        for line in lines.into_iter().flatten().filter(|line| line.path.exists()) {
+            let path = line.path.clone();
+            if !self.known.contains(&path) && self.is_whole(&path) {
                 self.receive(line, &mut told)?;
             }
+            self.is_settled &= self.known.contains(&path);
         }
         // One that has its place now may tell that of others.
         while self.place(&mut told) {}
+        self.is_settled &= self.waiting.iter().all(|waiting| waiting.why.is_some());
         Ok(told)
     }
 
-    /// Ends: writes `frames.csv` where somebody else has not written a table, and tells which photographs were left out.
+    /// Ends: gives the photographs that have a place, and tells which were left out and why. Writes `frames.csv` where nobody else has written a table.
     ///
     /// # Errors
-    /// [`Error::Request`] where no photograph came, [`Error::Io`] where the table cannot be written.
-    pub fn finish(mut self) -> Result<Vec<String>> {
+    /// [`Error::Input`] where no photograph has a place, [`Error::Io`] where the table cannot be written, or what [`Shots::read_tracked`] refuses.
+    pub fn finish(mut self) -> Result<(Shots, Vec<String>)> {
         if self.placed.is_empty() {
             return Err(Error::input(
                 &self.folder,
@@ -232,41 +230,50 @@ impl<'a> Live<'a> {
                 "put photographs there while --live waits, with frames.csv, a tracker's records, or details that overlap",
             ));
         }
-        let mut notes = vec![];
-        let left: Vec<String> = self.waiting.iter().map(|waiting| name(&waiting.line.path)).collect();
-        if !left.is_empty() {
-            notes.push(format!("{}: direction not known, left out", left.join(", ")));
-        }
-        if let Some(table) = &self.table {
-            let strange: Vec<String> = list(&self.folder)?
-                .0
-                .iter()
-                .filter(|path| !self.known.contains(*path))
-                .map(|p| name(p))
-                .collect();
-            if !strange.is_empty() {
-                notes.push(format!("{} does not list {}: left out", name(table), strange.join(", ")));
-            }
-            return Ok(notes);
-        }
-        self.placed.sort_by(|a, b| {
-            a.time_s.unwrap_or(0.0).total_cmp(&b.time_s.unwrap_or(0.0)).then_with(|| a.path.cmp(&b.path))
-        });
-        let is_timed = self.tracker.is_some();
-        let mut csv = String::from(if is_timed { "file,time_s\n" } else { "file,qw,qx,qy,qz,sigma_deg\n" });
-        for Row { path, turn, sigma_rad, time_s } in &self.placed {
-            let name = name(path);
-            let _ = match time_s.filter(|_| is_timed) {
-                Some(time_s) => writeln!(csv, "{name},{time_s:.6}"),
-                None => {
-                    let q = *turn * world_from_camera(DQuat::IDENTITY).inverse();
-                    let sigma_deg = sigma_rad.max(SUREST_RAD).to_degrees();
-                    writeln!(csv, "{name},{:.9},{:.9},{:.9},{:.9},{sigma_deg:.3}", q.w, q.x, q.y, q.z)
-                }
+        let others = self.table.take().or_else(|| table_in(&self.folder));
+        let is_ours = others.is_none();
+        let table =
+            others.map_or_else(|| write(&self.folder, &mut self.placed, self.tracker.is_some()), Ok)?;
+        let ((mut frames, lens), _) = ended(&table)?;
+        let placed: BTreeSet<PathBuf> = self.placed.iter().map(|row| row.path.clone()).collect();
+        let path_of = |frame: &Frame| self.folder.join(&frame.file);
+        let listed: BTreeSet<PathBuf> = frames.iter().map(path_of).collect();
+        frames.retain(|frame| placed.contains(&path_of(frame)));
+        let all =
+            list(&self.folder)?.0.into_iter().chain(listed.iter().cloned()).chain(placed.iter().cloned());
+        for path in all.filter(|path| !(placed.contains(path) && listed.contains(path))) {
+            let why = if !is_ours && !listed.contains(&path) {
+                format!("{} does not list it", name(&table))
+            } else if !path.exists() {
+                "it is not there".into()
+            } else {
+                "it came too late".into()
             };
+            self.left.entry(path).or_insert(why);
         }
-        file::write_bytes(&self.folder.join(TABLES[1]), csv.as_bytes())?;
-        Ok(notes)
+        let mut notes: BTreeMap<String, Vec<String>> = BTreeMap::new();
+        for (path, why) in self.left {
+            let why = if path == table { why } else { format!("left out: {why}") };
+            notes.entry(why).or_default().push(name(&path));
+        }
+        let notes = notes.into_iter().map(|(why, names)| format!("{}: {why}", names.join(", "))).collect();
+        Ok((Shots::of((frames, lens), &table, &self.tracking)?, notes))
+    }
+
+    /// Somebody else's table may come later; then it counts from the beginning.
+    fn find_table(&mut self, told: &mut Vec<Arrival>) {
+        if self.table.is_some() {
+            return;
+        }
+        self.table = table_in(&self.folder);
+        let Some(table) = self.table.as_ref().filter(|_| !self.known.is_empty()) else { return };
+        let why = "has come: it says how the camera was turned, and all photographs are placed anew";
+        told.push(Arrival { name: name(table), place: Err(why.into()) });
+        (self.first, self.coverage, self.views) = (None, None, Views::default());
+        self.known.clear();
+        self.waiting.clear();
+        self.left.clear();
+        self.placed.clear();
     }
 
     fn mount(&self) -> DQuat {
@@ -286,13 +293,13 @@ impl<'a> Live<'a> {
         Ok(())
     }
 
-    /// The photographs that there are, in the order in which they were taken.
-    fn lines(&mut self) -> Result<Vec<Line>> {
+    /// The photographs that there are, in the order in which they were taken; `None` while the table is being written.
+    fn lines(&mut self, told: &mut Vec<Arrival>) -> Result<Option<Vec<Line>>> {
         let Some(table) = self.table.clone() else {
             let mut lines = vec![];
             for path in list(&self.folder)?.0.into_iter().filter(|path| !self.known.contains(path)) {
                 // Between two looks another program may take its file away again.
-                let Ok(written) = std::fs::metadata(&path).and_then(|data| data.modified()) else { continue };
+                let Ok(written) = fs::metadata(&path).and_then(|data| data.modified()) else { continue };
                 let time_s = written.duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64();
                 lines.push(Line { path, turn: None, sigma_rad: None, time_s: Some(time_s) });
             }
@@ -300,42 +307,74 @@ impl<'a> Live<'a> {
                 let time_s = |line: &Line| line.time_s.unwrap_or(0.0);
                 time_s(a).total_cmp(&time_s(b)).then_with(|| a.path.cmp(&b.path))
             });
-            return Ok(lines);
+            return Ok(Some(lines));
         };
-        // While it grows it may end anywhere.
-        if !self.is_whole(&table)? {
-            return Ok(vec![]);
+        if !self.is_whole(&table) {
+            return Ok(None);
         }
-        let (frames, lens) = read_frames(&table)?;
-        self.lens = lens;
-        let line = |frame: super::shots::Frame| Line {
-            path: self.folder.join(&frame.file),
-            turn: frame.orientation(),
-            sigma_rad: frame.sigma_deg.map(f64::to_radians),
-            time_s: frame.time_s,
+        let read = ended(&table);
+        let wrong = match &read {
+            Ok((_, true)) => {
+                Some("what follows its last line break is left out, as it may be half written".into())
+            }
+            Ok(_) => None,
+            // A writer may have stopped anywhere.
+            Err(error) => Some(error.to_string()),
         };
-        Ok(frames.into_iter().map(line).collect())
+        match wrong {
+            None => drop(self.left.remove(&table)),
+            Some(wrong) if self.has_stayed(&table) && self.left.get(&table) != Some(&wrong) => {
+                told.push(Arrival { name: name(&table), place: Err(wrong.clone()) });
+                self.left.insert(table.clone(), wrong);
+            }
+            Some(_) => {}
+        }
+        let Ok(((frames, lens), _)) = read else { return Ok(None) };
+        let is_tracked = is_tracked(&frames, &table, &self.tracking)?;
+        self.lens = lens;
+        let line = |frame: Frame| Line {
+            path: self.folder.join(&frame.file),
+            turn: frame.orientation().filter(|_| !is_tracked),
+            sigma_rad: frame.sigma_deg.map(f64::to_radians),
+            time_s: frame.time_s.filter(|_| is_tracked),
+        };
+        Ok(Some(frames.into_iter().map(line).collect()))
     }
 
     /// Whether a file is there and has not grown since it was last looked at.
-    fn is_whole(&mut self, path: &Path) -> Result<bool> {
-        let Ok(size) = std::fs::metadata(path).map(|data| data.len()) else { return Ok(false) };
+    fn is_whole(&mut self, path: &Path) -> bool {
+        let Ok(size) = fs::metadata(path).map(|data| data.len()) else { return false };
         let before = self.sizes.get(path).map(|(size, _)| *size);
         if before != Some(size) {
             self.sizes.insert(path.into(), (size, Instant::now()));
         }
-        Ok(size > 0 && before == Some(size))
+        size > 0 && before == Some(size)
+    }
+
+    /// Whether a file has not grown for long.
+    fn has_stayed(&self, path: &Path) -> bool {
+        self.sizes.get(path).is_some_and(|(_, since)| since.elapsed() > BROKEN)
+    }
+
+    /// Leaves a photograph out.
+    fn refuse(&mut self, path: PathBuf, why: String, told: &mut Vec<Arrival>) {
+        told.push(Arrival { name: name(&path), place: Err(format!("left out: {why}")) });
+        self.left.insert(path.clone(), why);
+        self.known.insert(path);
     }
 
     /// Reads a photograph; one that cannot be read yet comes again.
     fn receive(&mut self, line: Line, told: &mut Vec<Arrival>) -> Result<()> {
-        let refused = |what: String| Arrival { name: name(&line.path), place: Err(what) };
+        if line.path.file_name().is_none_or(|name| name.to_str().is_none()) {
+            let why = "its name is no Unicode text, as a table must have it; give it another name";
+            self.refuse(line.path, why.into(), told);
+            return Ok(());
+        }
         let picture = match Picture::read(&line.path) {
             Ok(picture) => picture,
             Err(error) => {
-                if self.sizes.get(&line.path).is_some_and(|(_, since)| since.elapsed() > BROKEN) {
-                    told.push(refused(format!("left out: {error}")));
-                    self.known.insert(line.path);
+                if self.has_stayed(&line.path) {
+                    self.refuse(line.path, error.to_string(), told);
                 }
                 return Ok(());
             }
@@ -343,12 +382,9 @@ impl<'a> Live<'a> {
         let size = (picture.width, picture.height);
         let lens = match self.first {
             Some((first, _)) if first != size => {
-                let what = format!(
-                    "left out: it is {}x{} pixels, the first one {}x{}",
-                    size.0, size.1, first.0, first.1
-                );
-                told.push(refused(what));
-                self.known.insert(line.path);
+                let why =
+                    format!("it is {}x{} pixels, the first one {}x{}", size.0, size.1, first.0, first.1);
+                self.refuse(line.path, why, told);
                 return Ok(());
             }
             Some((_, lens)) => lens,
@@ -359,18 +395,11 @@ impl<'a> Live<'a> {
                 lens
             }
         };
-        let white = f32::from(picture.white) * 3.0;
         let is_by_corners = self.table.is_none() && self.tracker.is_none();
-        let corners = is_by_corners.then(|| {
-            let level =
-                |i: usize| picture.levels[i].iter().map(|&level| f32::from(level)).sum::<f32>() / white;
-            let gray = Gray::new(&lens, level, GRAY);
-            let corners = gray.corners();
-            (gray, corners)
-        });
+        let view = is_by_corners.then(|| View::new(&lens, &picture));
         self.known.insert(line.path.clone());
         let small = smaller(&picture);
-        self.waiting.push(Waiting { line, small, corners, since: Instant::now(), is_told: false });
+        self.waiting.push(Waiting { line, small, view, compared: 0, since: Instant::now(), why: None });
         Ok(())
     }
 
@@ -379,24 +408,27 @@ impl<'a> Live<'a> {
         let mut is_again = false;
         for mut waiting in std::mem::take(&mut self.waiting) {
             match self.verdict(&waiting) {
-                Verdict::At(turn, sigma_rad) => {
+                Ok(Some((turn, sigma_rad))) => {
                     let gained =
                         self.coverage.as_mut().map_or(0.0, |coverage| coverage.add(turn, &waiting.small));
                     let place = Place { turn, sigma_rad, gained };
                     told.push(Arrival { name: name(&waiting.line.path), place: Ok(place) });
                     let sigma_rad = sigma_rad.unwrap_or(0.0);
                     let Line { path, time_s, .. } = waiting.line;
+                    self.left.remove(&path);
                     self.placed.push(Row { path, turn, sigma_rad, time_s });
-                    if let Some((gray, corners)) = waiting.corners {
+                    if let Some(view) = waiting.view {
                         is_again = true;
-                        self.views.push(View { gray, corners, turn, sigma_rad });
+                        self.views.add(view, turn, sigma_rad);
                     }
                 }
-                Verdict::Later => self.waiting.push(waiting),
-                Verdict::Unknown(why) => {
-                    if !std::mem::replace(&mut waiting.is_told, true) {
+                Ok(None) => self.waiting.push(waiting),
+                Err(why) => {
+                    if waiting.why.replace(why) != Some(why) {
                         told.push(Arrival { name: name(&waiting.line.path), place: Err(why.into()) });
+                        self.left.insert(waiting.line.path.clone(), why.into());
                     }
+                    waiting.compared = self.views.count();
                     self.waiting.push(waiting);
                 }
             }
@@ -404,74 +436,36 @@ impl<'a> Live<'a> {
         is_again && !self.waiting.is_empty()
     }
 
-    fn verdict(&self, waiting: &Waiting) -> Verdict {
+    /// How a photograph was turned and how sure that is, if that is known, or why it is not; `None` where it has yet to be seen.
+    fn verdict(&self, waiting: &Waiting) -> std::result::Result<Option<(DQuat, Option<f64>)>, &'static str> {
         let Line { turn, sigma_rad, time_s, .. } = waiting.line;
         if let Some(turn) = turn {
-            return Verdict::At(turn, sigma_rad);
+            return Ok(Some((turn, sigma_rad)));
         }
-        if let Some((gray, corners)) = &waiting.corners {
-            return match self.by_corners(gray, corners) {
-                Some((turn, sigma_rad)) => Verdict::At(turn, Some(sigma_rad)),
-                None => Verdict::Unknown(
-                    "shows too little of what earlier photographs show; it counts once one between them has come",
-                ),
+        if let Some(view) = &waiting.view {
+            return match waiting.why.filter(|_| waiting.compared == self.views.count()) {
+                Some(why) => Err(why),
+                None => {
+                    let (turn, sigma_rad) = self.views.turn_of(view, waiting.compared)?;
+                    Ok(Some((turn, Some(sigma_rad))))
+                }
             };
         }
         let (Some((_, filter)), Some(time_s)) = (&self.tracker, time_s) else {
-            return Verdict::Unknown(
-                "the table says neither how it was turned nor when, or there is no tracker: left out",
-            );
+            return Err("the table says neither how it was turned nor when, or there is no tracker");
         };
         let taken_s = time_s - self.tracking.delay_s.unwrap_or(0.0);
         if filter.last_s().is_none_or(|last_s| last_s < taken_s) && waiting.since.elapsed() < PATIENCE {
-            return Verdict::Later;
+            return Ok(None);
         }
         let heard_s = filter.heard_s(taken_s).filter(|heard_s| taken_s - heard_s < SILENT_S);
         let Some((at, _)) = filter.at(taken_s).zip(heard_s).filter(|(at, _)| at.sigma_rad.is_finite()) else {
-            return Verdict::Unknown(
-                "the tracker said nothing, or always the same, when it was taken: left out",
-            );
+            return Err("the tracker said nothing, or always the same, when it was taken");
         };
         let late_s = if self.tracking.delay_s.is_some() { STATED_DELAY_SIGMA_S } else { DELAY_SIGMA_S };
-        Verdict::At(at.orientation * self.mount(), Some(at.sigma_rad.hypot(at.rate.length() * late_s)))
+        let sigma_rad = at.sigma_rad.hypot(at.rate.length() * late_s);
+        Ok(Some((at.orientation * self.mount(), Some(sigma_rad))))
     }
-
-    /// How a photograph was turned, by what it shares with others.
-    fn by_corners(&self, gray: &Gray, corners: &Corners) -> Option<(DQuat, f64)> {
-        if self.views.is_empty() {
-            return Some((world_from_camera(DQuat::IDENTITY), SUREST_RAD));
-        }
-        let beside = |view: &View, expected: (DQuat, f64)| {
-            let pair = between([&view.gray, gray], [&view.corners, corners], [0, 1], expected)?;
-            Some(((view.turn * pair.turn).normalize(), view.sigma_rad.hypot(pair.sigma_rad)))
-        };
-        let surest = |found: Vec<(DQuat, f64)>| found.into_iter().min_by(|a, b| a.1.total_cmp(&b.1));
-        // The last ones first, then all in turn.
-        let order: Vec<&View> = self.views.iter().rev().collect();
-        let found = order.chunks(BESIDE).find_map(|some| {
-            let found = some.par_iter().filter_map(|view| beside(view, (DQuat::IDENTITY, APART_RAD)));
-            surest(found.collect())
-        })?;
-        // It may meet one that was there long ago, and is surer.
-        let mut near: Vec<&View> = self
-            .views
-            .iter()
-            .filter(|view| {
-                view.sigma_rad < found.1 && (view.turn * DVec3::Z).angle_between(found.0 * DVec3::Z) < 0.7
-            })
-            .collect();
-        near.sort_by(|a, b| a.sigma_rad.total_cmp(&b.sigma_rad));
-        let again = near.into_iter().take(AROUND).filter_map(|view| {
-            let doubt = view.sigma_rad.hypot(found.1).max(0.01);
-            beside(view, ((view.turn.inverse() * found.0).normalize(), doubt))
-        });
-        surest(again.chain([found]).collect())
-    }
-}
-
-/// A file's name, for messages.
-fn name(path: &Path) -> String {
-    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 /// Every so many pixels of a picture.

@@ -100,7 +100,7 @@ const GRAY: u32 = 1000;
 /// How little a pixel counts whose radiance is a lower bound, beside others of its photograph that were measured.
 const BOUND: f32 = 1e-4;
 /// Photographs with so many corners are detailed: others that point the same way, to within this part of their width, must show some.
-const DETAILED: usize = 60;
+pub(super) const DETAILED: usize = 60;
 const NEAR: f64 = 0.7;
 /// A gain's own standard deviation counts up to this, relative: without stated exposures most of it is what all photographs share.
 const GAIN_SIGMA: f64 = 0.02;

@@ -77,6 +77,9 @@ pub(super) struct Frame {
     pub time_s: Option<f64>,
 }
 
+/// The lines of a table, and its lens if it says one.
+pub(super) type Table = (Vec<Frame>, Option<Lens>);
+
 #[derive(Deserialize)]
 struct Intrinsics {
     f: f64,
@@ -117,7 +120,7 @@ impl Shots {
     ///
     /// # Errors
     /// [`Error::Io`] or [`Error::Input`] that names the photograph whose orientation is missing or is none, or whose time is earlier than that of
-    /// the one before; or what [`Track::read`] refuses.
+    /// the one before, or a table with orientations although a tracker was described; or what [`Track::read`] refuses.
     pub fn read_tracked(path: &Path, tracking: &Tracking) -> Result<Self> {
         let file = if path.is_dir() {
             TABLES.iter().map(|name| path.join(name)).find(|file| file.exists()).ok_or_else(|| {
@@ -130,7 +133,12 @@ impl Shots {
         } else {
             path.to_path_buf()
         };
-        let (frames, lens) = read_frames(&file)?;
+        let text = std::fs::read_to_string(&file).map_err(Error::io("read", &file))?;
+        Self::of(read_frames(&file, &text)?, &file, tracking)
+    }
+
+    /// The same of lines of a table, and its lens.
+    pub(super) fn of((frames, lens): Table, file: &Path, tracking: &Tracking) -> Result<Self> {
         let folder = file.parent().unwrap_or(Path::new(""));
         let exposed = || frames.iter().filter(|frame| frame.exposure_s.is_some());
         // What only some of them say would be guessed of the others.
@@ -139,15 +147,13 @@ impl Shots {
         files.sort_unstable();
         if let Some(pair) = files.windows(2).find(|pair| pair[0] == pair[1]) {
             let what = format!("lists {} twice", pair[0].display());
-            return Err(Error::input(&file, what, "list each photograph once"));
+            return Err(Error::input(file, what, "list each photograph once"));
         }
         let unit = match exposed().next() {
             Some(_) => Unit::Saturation { iso: all_say.0, f_number: all_say.1 },
             None => Unit::MeanPhotograph,
         };
-        let is_tracked = tracking.file.is_some()
-            || frames.iter().all(|frame| frame.time_s.is_some() && frame.orientation().is_none());
-        let tracker = (is_tracked && !frames.is_empty()).then(|| tracked(&frames, &file, folder, tracking));
+        let tracker = is_tracked(&frames, file, tracking)?.then(|| tracked(&frames, file, folder, tracking));
         let mut tracker = tracker.transpose()?;
         let start = tracker.as_ref().map(Tracked::before);
         let mut shots = frames
@@ -159,7 +165,7 @@ impl Shots {
                     tracker.as_ref().zip(start.as_ref()).map(|(tracker, start)| tracker.place(i, start));
                 let turn =
                     tracked.map(|prior| prior.turn).or_else(|| frame.orientation()).ok_or_else(|| {
-                        Error::input(&file, format!("has no usable orientation of {name}"), REMEDY)
+                        Error::input(file, format!("has no usable orientation of {name}"), REMEDY)
                     })?;
                 let stated = [
                     ("exposure_s", frame.exposure_s),
@@ -171,7 +177,7 @@ impl Shots {
                     stated.iter().find(|(_, n)| n.is_some_and(|n| !(n.is_finite() && n > 0.0)))
                 {
                     let what = format!("has for {name} {word} = {}", number.unwrap_or_default());
-                    return Err(Error::input(&file, what, "give a positive number, or leave it out"));
+                    return Err(Error::input(file, what, "give a positive number, or leave it out"));
                 }
                 let exposure = frame.exposure_s.map(|time_s| {
                     let iso = frame.iso.filter(|_| all_say.0).unwrap_or(1.0);
@@ -186,22 +192,21 @@ impl Shots {
             })
             .collect::<Result<Vec<_>>>()?;
         if shots.is_empty() {
-            return Err(Error::input(&file, "lists no photograph", "list at least two that overlap"));
+            return Err(Error::input(file, "lists no photograph", "list at least two that overlap"));
         }
         if let Some(tracker) = &mut tracker {
             leave_out(&mut shots, tracker);
             if shots.is_empty() {
                 let what = "was taken at no time of which the tracker's records know";
-                return Err(Error::input(&file, what, "give times and records by one clock, in seconds"));
+                return Err(Error::input(file, what, "give times and records by one clock, in seconds"));
             }
         }
         Ok(Self { shots, lens, tracker, unit })
     }
 }
 
-/// The lines of a table, and its lens if it says one.
-pub(super) fn read_frames(file: &Path) -> Result<(Vec<Frame>, Option<Lens>)> {
-    let text = std::fs::read_to_string(file).map_err(Error::io("read", file))?;
+/// Reads a table's text; the file's name says its format.
+pub(super) fn read_frames(file: &Path, text: &str) -> Result<Table> {
     if file.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("csv")) {
         let frames =
             csv::Reader::from_reader(text.as_bytes()).deserialize().collect::<std::result::Result<_, _>>();
@@ -210,7 +215,29 @@ pub(super) fn read_frames(file: &Path) -> Result<(Vec<Frame>, Option<Lens>)> {
             None,
         ));
     }
-    json(&text).map_err(|what| Error::input(file, format!("cannot be used ({what})"), REMEDY))
+    json(text).map_err(|what| Error::input(file, format!("cannot be used ({what})"), REMEDY))
+}
+
+/// Whether a tracker says how the camera was turned, as the table does not.
+///
+/// # Errors
+/// [`Error::Input`] where the table says it although a tracker was described.
+pub(super) fn is_tracked(frames: &[Frame], file: &Path, tracking: &Tracking) -> Result<bool> {
+    if frames.is_empty() {
+        return Ok(false);
+    }
+    let is_timed = |frame: &Frame| frame.time_s.is_some() && frame.orientation().is_none();
+    if tracking.file.is_some() || frames.iter().all(is_timed) {
+        return Ok(true);
+    }
+    if *tracking == Tracking::default() {
+        return Ok(false);
+    }
+    Err(Error::input(
+        file,
+        "says the orientations itself, so that no tracker is looked at",
+        "name the tracker's records with --tracker, or leave --receiver, --delay and --mount out",
+    ))
 }
 
 /// The tracker of frames with times.

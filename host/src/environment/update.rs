@@ -116,15 +116,16 @@ pub fn update(
     // All gains together may be off by what the stated exposures are.
     let count = new.placed.len().max(1) as f64;
     let scale_sigma = (new.placed.iter().map(|placed| placed.gain_sigma.powi(2)).sum::<f64>() / count).sqrt();
-    compare(map, new, threshold, (scale_sigma, turned))
+    compare(map, new, threshold, (scale_sigma, turned), progress)
 }
 
-/// What both measured of a cell: sums of solid angle times radiance.
+/// What both measured of a cell: sums of solid angle times radiance, and of its standard deviation now.
 #[derive(Clone, Copy, Default)]
 struct Cell {
     angle: f64,
     before: [f64; 3],
     after: [f64; 3],
+    doubt: f64,
 }
 
 fn compare(
@@ -132,6 +133,7 @@ fn compare(
     new: Mosaic,
     threshold: f64,
     (scale_sigma, turned): (f64, Turn),
+    progress: &dyn Progress,
 ) -> Result<Updated> {
     let (size, now) = (map.size, &new.map);
     let flag = |map: &EnvironmentMap, i: usize| map.flags.get(i).copied().unwrap_or(0);
@@ -142,7 +144,7 @@ fn compare(
     // As sure as the photographs' own orientations where nothing else tells.
     let own_rad = new.placed.iter().map(|placed| placed.sigma_rad).fold(0.0, f64::max);
     let unsure_rad = turned.sigma_rad.unwrap_or(own_rad).min(UNSURE_RAD);
-    let lamps = Lamps::of(map, unsure_rad);
+    let lamps = Lamps::of(map, unsure_rad, progress)?;
     let cells_of = |map: &EnvironmentMap, which: &dyn Fn(usize) -> bool| {
         let mut cells = vec![Cell::default(); 2 * ROWS * ROWS];
         for i in (0..size.count()).filter(|&i| flag(map, i) == 0 && flag(now, i) == 0 && which(i)) {
@@ -150,6 +152,8 @@ fn compare(
             cell.angle += angle;
             (0..3).for_each(|c| cell.before[c] += angle * f64::from(map.radiance[i][c]));
             (0..3).for_each(|c| cell.after[c] += angle * f64::from(now.radiance[i][c]));
+            // What is black in one photograph is so in all.
+            cell.doubt += angle * f64::from(now.variance.get(i).copied().unwrap_or(0.0)).sqrt();
         }
         cells
     };
@@ -193,11 +197,18 @@ fn compare(
     let mut out = map.clone();
     lamps.multiply(&mut out, rest, &told);
     // Each colour by itself is noisier than what all of them say.
-    let is_other: Vec<bool> = ratios_of(&cells_of(&out, &|_| true))
-        .into_iter()
-        .map(|ratio| {
-            let limit = |c: usize| CHANGED.max(1.0 + threshold).ln().max(SIGMAS * spread[c]);
-            ratio.is_some_and(|ratio| (0..3).any(|c| ratio[c].abs() > limit(c)))
+    let is_other: Vec<bool> = cells_of(&out, &|_| true)
+        .iter()
+        .map(|cell| {
+            (0..3).any(|c| {
+                let (before, after) = (cell.before[c], cell.after[c]);
+                if before > 0.0 && after > 0.0 {
+                    let limit = CHANGED.max(1.0 + threshold).ln().max(SIGMAS * spread[c]);
+                    (after / before).ln().abs() > limit
+                } else {
+                    (after - before).abs() > SIGMAS * cell.doubt
+                }
+            })
         })
         .collect();
     let (mut replaced, mut gained) = (0.0, 0.0);

@@ -11,6 +11,8 @@ use super::smooth::rotation_vector;
 
 /// So many records tell how noisy they are.
 const SPREAD: f64 = 60.0;
+/// Of two records that lie closer, seconds, the second tells no speed: a rig puts one that seems to be earlier a microsecond behind the one before.
+const NEAREST_S: f64 = 1e-3;
 
 /// What was known with a record.
 #[derive(Debug, Clone, Copy)]
@@ -55,7 +57,8 @@ impl Causal {
         (1.0 - fade * fade, (1.0 - fade) * (1.0 - fade))
     }
 
-    /// Takes a record: seconds, later than all before, and the orientation that was said. `false` where it is not later, and is left out.
+    /// Takes a record: seconds, later than all before, and the orientation that was said. `false` where it is not later, or by less than a millisecond, and
+    /// is left out.
     pub fn push(&mut self, time_s: f64, said: DQuat) -> bool {
         let Some(last) = self.nodes.last().copied() else {
             self.nodes.push(Node { time_s, turn: said, rate: DVec3::ZERO, sigma_rad: f64::INFINITY });
@@ -63,7 +66,7 @@ impl Causal {
             return true;
         };
         let interval_s = time_s - last.time_s;
-        if interval_s.is_nan() || interval_s <= 0.0 {
+        if interval_s.is_nan() || interval_s < NEAREST_S {
             return false;
         }
         if interval_s > 5.0 * self.memory_s {
@@ -148,6 +151,26 @@ mod tests {
         let filter = filtered(0.1, truth);
         for time_s in [15.0, 17.003, 1199.5 * INTERVAL_S] {
             assert!(off(&filter, time_s, truth(time_s)).length() < 1e-7, "{time_s}");
+        }
+    }
+
+    #[test]
+    fn records_a_microsecond_apart_make_no_speed() {
+        let noise = DQuat::from_rotation_x(0.01);
+        let truth = |time_s: f64| DQuat::from_rotation_y(0.5 * time_s);
+        // At the beginning, where little is known, and later.
+        for pair in [0, 1, 2, 30] {
+            let mut filter = Causal::new(0.1);
+            for k in 0..60 {
+                let time_s = f64::from(k) * INTERVAL_S;
+                filter.push(time_s, truth(time_s));
+                if k == pair {
+                    filter.push(time_s + 1e-6, truth(time_s) * noise);
+                }
+            }
+            let last_s = 59.0 * INTERVAL_S;
+            assert!(off(&filter, last_s, truth(last_s)).length() < 1e-3, "{pair}");
+            assert!((filter.at(last_s).unwrap().rate.y - 0.5).abs() < 1e-2, "{pair}");
         }
     }
 

@@ -74,11 +74,14 @@ fn photographs_that_arrive_are_told_and_ctrl_c_begins_the_map() {
         seen = number(&line, " % seen");
         assert!(image::open(folder.path().join("map-coverage.png")).is_ok());
     }
+    // One that comes just before is not lost.
+    std::fs::copy(all.path().join("005.png"), folder.path().join("photos/005.png")).unwrap();
     assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
-    lines.until("ended by Ctrl-C: 5 photographs");
+    seen = number(&lines.until("005.png"), " % seen");
+    lines.until("ended by Ctrl-C: 6 photographs");
     lines.until("wrote map.exr");
     assert!(child.wait().unwrap().success());
-    assert!(std::fs::read_to_string(folder.path().join("photos/frames.csv")).unwrap().contains("004.png"));
+    assert!(std::fs::read_to_string(folder.path().join("photos/frames.csv")).unwrap().contains("005.png"));
     let map = rigel::environment::EnvironmentMap::read(&folder.path().join("map.exr")).unwrap();
     let share = map.coverage.iter().enumerate().filter(|(_, count)| **count > 0);
     let share: f64 = share.map(|(i, _)| map.size.solid_angle(i / map.size.width())).sum::<f64>()
@@ -111,6 +114,8 @@ fn what_cannot_be_followed_is_refused() {
     let live = ["mosaic", "photos", "--live"];
     for (more, names) in [
         (&["--lowest", "30", "--highest", "-30"][..], &["30", "-30", "lowest"][..]),
+        (&["--lowest", "0", "--highest", "0.3"], &["0.3", "lowest"]),
+        (&["--lowest", "95", "--highest", "99"], &["95", "-90 to 90"]),
         (&["--overlap", "97%"], &["97 %"]),
         (&["--tracker", "photos/tracker.csv"], &["tracker.csv", "tracker.jsonl"]),
         (&["--fov", "300"], &["300"]),
@@ -122,10 +127,19 @@ fn what_cannot_be_followed_is_refused() {
         let output = rigel(folder.path(), &arguments).output().unwrap();
         assert_refused(&arguments.join(" "), &output, names);
     }
-    let file =
-        rigel(folder.path(), &["mosaic", "photos/frames.csv", "--live", "--fov", "60"]).output().unwrap();
+    std::fs::create_dir(folder.path().join("empty")).unwrap();
+    let delay = ["mosaic", "empty", "--live", "--fov", "60", "--delay", "0.08"];
+    let delay = rigel(folder.path(), &delay).output().unwrap();
+    assert_refused("a delay of no tracker", &delay, &["empty", "--delay", "--rig"]);
+    std::fs::write(folder.path().join("map-coverage.png"), "mine").unwrap();
+    let there = rigel(folder.path(), &["mosaic", "photos", "--live", "--fov", "60"]).output().unwrap();
+    assert_refused("a picture", &there, &["map-coverage.png", "--force"]);
+    let file = rigel(folder.path(), &["mosaic", "photos/frames.csv", "--live", "--fov", "60", "--force"])
+        .output()
+        .unwrap();
     assert_refused("a file", &file, &["frames.csv", "folder"]);
-    let none = rigel(folder.path(), &["mosaic", "none", "--live", "--fov", "60"]).output().unwrap();
+    let none =
+        rigel(folder.path(), &["mosaic", "none", "--live", "--fov", "60", "--force"]).output().unwrap();
     assert_refused("no folder", &none, &["none"]);
     // Without --live there is nothing to point at.
     let mut text = String::new();

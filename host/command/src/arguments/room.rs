@@ -81,7 +81,7 @@ pub struct Mosaic {
     /// With --live: how much of the next photograph shows what was seen already
     #[arg(long, requires = "live", default_value = "30%", value_parser = parse_part)]
     pub overlap: f64,
-    /// Replace the map that is there
+    /// Replace the map that is there, and its pictures
     #[arg(long)]
     pub force: bool,
 }

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use glam::DVec3;
 use rigel::capture::TrackerLog;
-use rigel::environment::{Coverage, Live, MEMORY_S, Next, Place, Pointing, Tracking, Wanted};
+use rigel::environment::{Coverage, Live, MEMORY_S, Next, Place, Pointing, Shots, Tracking, Wanted};
 use rigel::geometry::LatLong;
 use rigel::rig::{Format, Output, Tracking as Receivers};
 use rigel::{Error, Result};
@@ -18,6 +18,8 @@ use crate::verbs::require_place;
 
 /// How often the folder is looked into.
 const LOOK: Duration = Duration::from_millis(150);
+/// What came just before the end is waited for so long.
+const REST: Duration = Duration::from_secs(2);
 /// Records per second of a tracker with one receiver.
 const USUAL_S: f64 = 1.0 / 60.0;
 
@@ -27,8 +29,8 @@ fn picture_of(arguments: &Mosaic) -> PathBuf {
     arguments.out.with_file_name(format!("{name}-coverage.png"))
 }
 
-/// Follows the folder until everything wanted was seen, or Ctrl-C.
-pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Result<()> {
+/// Follows the folder until everything wanted was seen, or Ctrl-C: the photographs that have a place then.
+pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Result<Shots> {
     let folder = &arguments.shots;
     if !folder.is_dir() {
         return Err(Error::input(
@@ -48,7 +50,7 @@ pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Re
             "name a map in another folder",
         ));
     }
-    require_place(&picture, true)?;
+    require_place(&picture, arguments.force)?;
     let wanted = Wanted {
         lowest_rad: arguments.lowest_deg.to_radians(),
         highest_rad: arguments.highest_deg.to_radians(),
@@ -86,7 +88,10 @@ pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Re
     let line = Line::new();
     let mut next: Option<Next> = None;
     let mut looked = Instant::now();
+    let mut until = None;
     let is_whole = loop {
+        // What came before that is still looked at.
+        let is_ended = interrupted();
         if let Some(log) = &mut log {
             log.check()?;
         }
@@ -107,11 +112,12 @@ pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Re
         if let (Some(now), Some(next)) = (live.pointing(), &next) {
             line.show(&format!("{}: {}", pointed(now), way(now, next)));
         }
-        if live.count() > 0 && next.is_none() {
-            break true;
-        }
-        if interrupted() {
-            break false;
+        let is_whole = live.coverage().is_some_and(Coverage::is_done);
+        if is_whole || is_ended {
+            let until: Instant = *until.get_or_insert(looked + REST);
+            if live.is_settled() || looked > until {
+                break is_whole;
+            }
         }
         // What is due is looked at at even intervals.
         std::thread::sleep(LOOK.saturating_sub(looked.elapsed()));
@@ -124,7 +130,8 @@ pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Re
     }
     let count = live.count();
     let seen = live.coverage().map_or((0.0, 0.0), Coverage::seen);
-    for note in live.finish()? {
+    let (shots, notes) = live.finish()?;
+    for note in notes {
         say!("note: {note}");
     }
     say!(
@@ -135,7 +142,7 @@ pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Re
         100.0 * seen.1,
         picture.display()
     );
-    Ok(())
+    Ok(shots)
 }
 
 /// Where a photograph was pointed.
@@ -155,13 +162,21 @@ fn ahead(coverage: &Coverage, next: Option<&Next>) -> String {
         "{:.1} % seen, {:.1} % of what is wanted; {}",
         100.0 * seen,
         100.0 * wanted,
-        next.map_or("nothing is left".into(), |next| format!(
-            "next {}: {} ({:.1} % new, {:.0} % overlap)",
-            pointed(next.pointing),
-            way(coverage.last(), next),
-            100.0 * next.gain,
-            100.0 * next.overlap
-        ))
+        next.map_or(
+            if coverage.is_done() {
+                "nothing is left"
+            } else {
+                "what is left shows in no upright photograph"
+            }
+            .into(),
+            |next| format!(
+                "next {}: {} ({:.1} % new, {:.0} % overlap)",
+                pointed(next.pointing),
+                way(coverage.last(), next),
+                100.0 * next.gain,
+                100.0 * next.overlap
+            )
+        )
     )
 }
 

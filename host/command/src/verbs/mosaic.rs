@@ -39,18 +39,12 @@ pub fn mosaic(arguments: &Mosaic) -> Result<()> {
         delay_s: arguments.delay_s,
         mount: arguments.mount,
     };
-    if arguments.live {
-        turn(arguments, &tracking, size)?;
-    }
+    let shots = if arguments.live {
+        turn(arguments, &tracking, size)?
+    } else {
+        Shots::read_tracked(&arguments.shots, &tracking)?
+    };
     let bar = Bar::new("mosaic");
-    let shots = Shots::read_tracked(&arguments.shots, &tracking)?;
-    if shots.tracker.is_none() && tracking != Tracking::default() {
-        return Err(Error::input(
-            &arguments.shots,
-            "says the orientations itself, so that no tracker is looked at",
-            "name the tracker's records with --tracker, or leave --receiver, --delay and --mount out",
-        ));
-    }
     for place in [Some(&arguments.out), picture.as_ref()].into_iter().flatten() {
         require_no_photograph(place, &shots)?;
     }

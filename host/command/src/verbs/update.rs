@@ -59,7 +59,9 @@ pub fn update(arguments: &Update) -> Result<()> {
                         "not told apart from the rest, with which it goes"
                     }
                 ),
-                None => "not shown by half, or saturated: it goes with the rest".into(),
+                None =>
+                    "not shown by half, saturated, or no brighter now than its doubt: it goes with the rest, and what was measured there stands where it differs"
+                        .into(),
             }
         );
     }

@@ -7,9 +7,11 @@ use glam::{DQuat, DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::SIGMAS;
+use crate::Result;
 use crate::environment::EnvironmentMap;
 use crate::environment::lights::{Method, Remainder, lights};
 use crate::geometry::LatLong;
+use crate::progress::Progress;
 
 /// Lamps are so many times as bright as half of the sphere.
 const BRIGHT: f64 = 10.0;
@@ -35,7 +37,7 @@ pub struct Lamp {
     /// Its part of the luminance from all directions of the map.
     pub share: f64,
     /// Red, green and blue of its power now over before, and their relative standard deviations; `None` where the photographs show less than half of it,
-    /// or either is saturated there: it goes with the rest.
+    /// or either is saturated there, or no more of its power is left than its doubt: it goes with the rest.
     pub factor: Option<([f64; 3], [f64; 3])>,
     /// Whether it differs from the rest by more than the threshold and three sigmas: then it was multiplied by its own factor.
     pub is_own: bool,
@@ -51,7 +53,10 @@ pub(super) struct Lamps {
 
 impl Lamps {
     /// Finds them; `unsure_rad` is how far maps may be turned beside each other.
-    pub fn of(map: &EnvironmentMap, unsure_rad: f64) -> Self {
+    ///
+    /// # Errors
+    /// What `progress` says.
+    pub fn of(map: &EnvironmentMap, unsure_rad: f64, progress: &dyn Progress) -> Result<Self> {
         let size = map.size;
         let luminance = |i: usize| {
             let [r, g, b] = map.radiance[i].map(f64::from);
@@ -73,12 +78,12 @@ impl Lamps {
         let mut none = Self { found: vec![], near: vec![(0, false); size.count()] };
         let core: Vec<usize> = (0..size.count()).filter(|&i| seen(i) && luminance(i) > bright).collect();
         let Ok(lights) = lights(map, Method::Joined(Remainder::MOST_ORDER), TOLERANCE, MOST) else {
-            return none;
+            return Ok(none);
         };
         let lights: Vec<DVec3> =
             lights.lights.iter().filter(|light| light.share > LEAST).map(|light| light.direction).collect();
         if core.is_empty() || lights.is_empty() {
-            return none;
+            return Ok(none);
         }
         let direction =
             |i: usize| size.direction(DVec2::new((i % size.width()) as f64, (i / size.width()) as f64));
@@ -122,6 +127,19 @@ impl Lamps {
         let reach = (AROUND_RAD + 2.0 * unsure_rad) / std::f64::consts::PI * size.height() as f64;
         let rows = reach.ceil() as i64;
         for (&i, &lamp) in core.iter().zip(&of).filter(|(_, lamp)| number[**lamp] > 0) {
+            lamps.near[i] = (number[lamp], true);
+        }
+        // What lies beside a lamp lies beside its edge.
+        let is_edge = |i: usize| {
+            let (column, row, width) = (i % size.width(), i / size.width(), size.width());
+            let aside = [row * width + (column + 1) % width, row * width + (column + width - 1) % width];
+            let above = [i.checked_sub(width), Some(i + width).filter(|below| *below < size.count())];
+            aside.into_iter().chain(above.into_iter().flatten()).any(|beside| !lamps.near[beside].1)
+        };
+        let both = core.iter().copied().zip(of.iter().copied());
+        let edge: Vec<(usize, usize)> = both.filter(|&(i, lamp)| number[lamp] > 0 && is_edge(i)).collect();
+        for (done, &(i, lamp)) in edge.iter().enumerate() {
+            progress.step(done, edge.len())?;
             let (column, row) = ((i % size.width()) as i64, (i / size.width()) as i64);
             for to in (row - rows).max(0)..=(row + rows).min(size.height() as i64 - 1) {
                 let width = reach / size.latitude(to as f64).cos().max(1e-3);
@@ -135,10 +153,7 @@ impl Lamps {
                 }
             }
         }
-        for (&i, &lamp) in core.iter().zip(&of).filter(|(_, lamp)| number[**lamp] > 0) {
-            lamps.near[i] = (number[lamp], true);
-        }
-        lamps
+        Ok(lamps)
     }
 
     /// Whether a pixel belongs to a lamp or lies beside one.
@@ -202,18 +217,22 @@ impl Lamps {
                 return none;
             }
             let power = [0, 1, 2].map(|c| after[c] - rest[c] * ring[c]);
-            let factor = [0, 1, 2].map(|c| power[c].max(0.0) / core[c]);
             // Beside the rest, what all photographs share does not count.
-            let own = [0, 1, 2].map(|c| {
+            let doubt = [0, 1, 2].map(|c| {
                 let placed = 0.5 * (moved[0][c] - moved[1][c]).hypot(moved[2][c] - moved[3][c]);
                 let bent = 0.5
                     * (0..2)
                         .map(|k| moved[2 * k][c] + moved[2 * k + 1][c] - 2.0 * after[c])
                         .fold(0.0, f64::hypot);
                 let around = rest_sigma[c] * rest[c] * ring[c];
-                let sum = placed.hypot(bent).hypot(around).hypot(noise[c].sqrt());
-                (sum / power[c].max(1e-3 * core[c])).hypot(SAMPLED)
+                placed.hypot(bent).hypot(around).hypot(noise[c].sqrt())
             });
+            // One that was switched off leaves nothing that could be multiplied.
+            if (0..3).any(|c| power[c] <= doubt[c]) {
+                return none;
+            }
+            let factor = [0, 1, 2].map(|c| power[c] / core[c]);
+            let own = [0, 1, 2].map(|c| (doubt[c] / power[c]).hypot(SAMPLED));
             let is_own = (0..3).any(|c| {
                 let off = (factor[c].max(1e-9) / rest[c]).ln().abs();
                 off > (1.0 + threshold).ln().max(SIGMAS * own[c])
@@ -272,4 +291,48 @@ fn joined(
         }
     }
     of.iter().map(|&own| first[own]).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Error;
+    use crate::environment::Unit;
+    use crate::progress::Silent;
+
+    struct Stop;
+
+    impl Progress for Stop {
+        fn step(&self, _: usize, _: usize) -> Result<()> {
+            Err(Error::Interrupted)
+        }
+    }
+
+    #[test]
+    fn what_lies_around_a_lamp_at_the_pole_is_beside_it_and_the_search_can_be_stopped() {
+        let (size, radius, unsure) = (LatLong::new(1024, 512).unwrap(), 0.1, 0.02);
+        let lamp = DVec3::new(0.05, 1.0, 0.02).normalize();
+        let off = |i: usize| {
+            let at = DVec2::new((i % size.width()) as f64, (i / size.width()) as f64);
+            size.direction(at).angle_between(lamp)
+        };
+        let radiance = (0..size.count()).map(|i| [if off(i) < radius { 50.0 } else { 0.5 }; 3]);
+        let map = EnvironmentMap {
+            size,
+            radiance: radiance.collect(),
+            variance: vec![],
+            coverage: vec![],
+            flags: vec![],
+            unit: Unit::Unknown,
+        };
+        let lamps = Lamps::of(&map, unsure, &Silent).unwrap();
+        assert!(lamps.found.len() == 1 && lamps.found[0].0.angle_between(lamp) < 0.01);
+        let (pixel, around) = (std::f64::consts::PI / size.height() as f64, AROUND_RAD + 2.0 * unsure);
+        for i in 0..size.count() {
+            assert_eq!(lamps.near[i].1, off(i) < radius);
+            assert!(lamps.is_near(i) || off(i) > radius + around - 2.0 * pixel, "{i}");
+            assert!(!lamps.is_near(i) || off(i) < radius + 2.0 * around + 2.0 * pixel, "{i}");
+        }
+        assert!(matches!(Lamps::of(&map, unsure, &Stop), Err(Error::Interrupted)));
+    }
 }

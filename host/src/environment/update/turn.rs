@@ -37,9 +37,7 @@ pub(super) struct Turn {
 pub(super) fn turn_to(map: &EnvironmentMap, new: &EnvironmentMap) -> Result<Turn> {
     let mut found = Turn { turn: DQuat::IDENTITY, sigma_rad: None };
     let finest = map.size.height();
-    for rows in
-        [64, 128, 256, 512, 1024].into_iter().filter(|rows| *rows <= finest && finest.is_multiple_of(*rows))
-    {
+    for rows in [finest.min(64), 128, 256, 512, 1024].into_iter().filter(|rows| *rows <= finest) {
         let (old, now) = (Small::new(map, rows), Small::new(new, rows));
         let step = std::f64::consts::PI / rows as f64;
         for _ in 0..8 {
@@ -122,15 +120,15 @@ struct Small {
 }
 
 impl Small {
+    /// `rows` no more than the map has. Where they do not divide its height, blocks are a pixel more or less, in both maps alike.
     fn new(map: &EnvironmentMap, rows: usize) -> Self {
-        let by = (map.size.height() / rows).max(1);
-        let size = LatLong::new((2 * map.size.height() / by) as u32, (map.size.height() / by) as u32)
-            .unwrap_or(map.size);
+        let size = LatLong::new(2 * rows as u32, rows as u32).unwrap_or(map.size);
+        let height = map.size.height();
+        let pixels = |block: usize| block * height / size.height()..(block + 1) * height / size.height();
         let block = |number: usize| {
-            let (left, top) = (number % size.width() * by, number / size.width() * by);
+            let (left, top) = (pixels(number % size.width()), pixels(number / size.width()));
             let (mut sum, mut known) = (0.0, 0);
-            for k in 0..by * by {
-                let at = (top + k / by) * map.size.width() + left + k % by;
+            for at in top.clone().flat_map(|row| left.clone().map(move |column| row * 2 * height + column)) {
                 let brightness = map.radiance[at].iter().sum::<f32>();
                 if map.flags.get(at).is_none_or(|flag| *flag == 0) && brightness > 0.0 {
                     sum += brightness;
@@ -138,7 +136,7 @@ impl Small {
                 }
             }
             // More than half of it.
-            if 2 * known > by * by {
+            if 2 * known > top.len() * left.len() {
                 ([(sum / known as f32).ln(), 0.0, 0.0], 0)
             } else {
                 ([0.0; 3], EnvironmentMap::UNSEEN)
