@@ -18,7 +18,8 @@ pub fn write_beside(path: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Res
 }
 
 /// The same for a folder, which replaces a folder at `path`: that is only moved away once the new one is whole, and deleted once
-/// the new one is in its place. Whoever asks for this has made sure that the old one may go.
+/// the new one is in its place (a process that is killed between the two leaves it as `NAME.PID.rigel-old`). Whoever asks for this has
+/// made sure that the old one may go.
 ///
 /// # Errors
 /// As [`write_beside`].
