@@ -96,6 +96,10 @@ pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Re
             log.check()?;
         }
         let arrivals = live.look()?;
+        // After a table that came late all begins anew.
+        if live.coverage().is_none() {
+            next = None;
+        }
         let last = arrivals.iter().rposition(|arrival| arrival.place.is_ok());
         for (i, arrival) in arrivals.into_iter().enumerate() {
             let words = match (arrival.place, live.coverage()) {
@@ -118,6 +122,8 @@ pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Re
             if live.is_settled() || looked > until {
                 break is_whole;
             }
+        } else {
+            until = None;
         }
         // What is due is looked at at even intervals.
         std::thread::sleep(LOOK.saturating_sub(looked.elapsed()));
