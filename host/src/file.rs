@@ -127,6 +127,22 @@ pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<()> {
     write_beside(path, |temporary| fs::write(temporary, bytes).map_err(Error::io("write", path)))
 }
 
+/// The same where nothing is there yet.
+///
+/// # Errors
+/// As [`write_bytes`], and [`Error::Io`] with [`std::io::ErrorKind::AlreadyExists`].
+pub(crate) fn write_new(path: &Path, bytes: &[u8]) -> Result<()> {
+    let write = |temporary: &Path| fs::write(temporary, bytes).map_err(Error::io("write", path));
+    write_and_move(path, write, |temporary| match fs::hard_link(temporary, path) {
+        Ok(()) => fs::remove_file(temporary),
+        // Some file systems know no second names.
+        Err(error) if error.kind() != std::io::ErrorKind::AlreadyExists && !path.exists() => {
+            fs::rename(temporary, path)
+        }
+        Err(error) => Err(error),
+    })
+}
+
 /// Writes several files (name, bytes) to `folder`, which is made where it does not exist: all of them or none.
 ///
 /// # Errors
@@ -181,6 +197,20 @@ mod tests {
         });
         assert!(failed.is_err());
         assert_eq!(fs::read(&path).unwrap(), b"before");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn what_must_be_new_replaces_nothing_and_leaves_nothing_beside_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("frames.csv");
+        write_new(&path, b"first").unwrap();
+        let refused = write_new(&path, b"second").unwrap_err();
+        assert!(
+            matches!(&refused, Error::Io { source, .. } if source.kind() == std::io::ErrorKind::AlreadyExists),
+            "{refused}"
+        );
+        assert_eq!(fs::read(&path).unwrap(), b"first");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 

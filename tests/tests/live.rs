@@ -73,11 +73,17 @@ fn table_of(tour: &Tour, count: usize) -> String {
     format!("file,qw,qx,qy,qz\n{}", lines.collect::<String>())
 }
 
-/// What has come, in three looks: only a table, and then a photograph, that has not grown since the last one counts.
+/// What has come, in three looks: only a table, and then a photograph, that has not grown since the last one counts. Of many some wait for more looks.
 fn come(live: &mut Live) -> Vec<Arrival> {
     let mut all = live.look().unwrap();
-    (0..2).for_each(|_| all.extend(live.look().unwrap()));
-    all
+    all.extend(live.look().unwrap());
+    loop {
+        let more = live.look().unwrap();
+        if more.is_empty() {
+            return all;
+        }
+        all.extend(more);
+    }
 }
 
 fn placed(arrivals: &[Arrival]) -> Vec<Place> {
@@ -263,6 +269,138 @@ fn a_table_that_comes_later_counts_from_the_beginning_and_is_never_written_over(
 }
 
 #[test]
+fn a_table_without_a_line_throws_nothing_away() {
+    let tour = Tour { photographs: 4, laps: 0.15, ..tour() };
+    let (all, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (from, to) = (all.path(), folder.path());
+    tour.write(from).unwrap();
+    let open = || Live::open(to, &Tracking::default(), Wanted::default(), |_| Ok(options(&tour))).unwrap();
+    let table = to.join("frames.csv");
+    for begun in ["", "file,qw,qx,qy,qz\n", "file,qw,qx,qy,qz\n000.png,1,0"] {
+        let mut live = open();
+        (0..3).for_each(|i| put(from, to, i, &tour));
+        assert_eq!(placed(&come(&mut live)).len(), 3);
+        fs::write(&table, begun).unwrap();
+        assert!(come(&mut live).is_empty());
+        put(from, to, 3, &tour);
+        assert_eq!((placed(&come(&mut live)).len(), live.count()), (1, 4));
+        let (shots, notes) = live.finish().unwrap();
+        assert_eq!((shots.shots.len(), notes.len()), (4, 1));
+        assert!(notes[0].starts_with("frames.csv") && notes[0].contains("frames-live.csv"), "{notes:?}");
+        assert_eq!(fs::read_to_string(&table).unwrap(), begun);
+        assert_eq!(Shots::read(&to.join("frames-live.csv")).unwrap().shots, shots.shots);
+        fs::remove_file(&table).unwrap();
+        fs::remove_file(to.join(photograph(3))).unwrap();
+    }
+    put(from, to, 3, &tour);
+    // One that is there from the start is waited for, and that is said.
+    fs::write(&table, "").unwrap();
+    let mut live = open();
+    assert!(come(&mut live).is_empty());
+    std::thread::sleep(Duration::from_millis(3100));
+    let arrivals = come(&mut live);
+    let said: Vec<String> = arrivals.iter().map(|arrival| arrival.place.clone().unwrap_err()).collect();
+    assert!(arrivals[0].name == "frames.csv" && said[0].contains("lists no photograph yet"), "{arrivals:?}");
+    fs::write(&table, table_of(&tour, 4)).unwrap();
+    assert_eq!(placed(&come(&mut live)).len(), 4);
+    assert!(live.finish().unwrap().1.is_empty());
+}
+
+#[test]
+fn photographs_that_are_taken_away_or_of_another_depth_are_left_out_and_the_map_is_made() {
+    let tour = Tour { photographs: 5, laps: 0.2, ..tour() };
+    let (all, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (from, to) = (all.path(), folder.path());
+    tour.write(from).unwrap();
+    let mut live = Live::open(to, &Tracking::default(), Wanted::default(), |_| Ok(options(&tour))).unwrap();
+    (0..5).for_each(|i| put(from, to, i, &tour));
+    assert_eq!(placed(&come(&mut live)).len(), 5);
+    image::open(from.join("004.png")).unwrap().to_rgb16().save(to.join("deep.png")).unwrap();
+    let arrivals = come(&mut live);
+    assert!(arrivals[0].place.clone().unwrap_err().contains("65535"), "{arrivals:?}");
+    fs::remove_file(to.join("004.png")).unwrap();
+    let (shots, notes) = live.finish().unwrap();
+    for (name, why) in [("004.png", "not there any more"), ("deep.png", "65535")] {
+        assert!(notes.iter().any(|note| note.starts_with(name) && note.contains(why)), "{name}: {notes:?}");
+    }
+    assert_eq!(mosaic(&shots, &options(&tour), &Silent).unwrap().placed.len(), 4);
+    assert!(!fs::read_to_string(to.join("frames.csv")).unwrap().contains("004.png"));
+}
+
+#[test]
+fn a_line_with_a_fault_is_left_out_at_once_and_the_others_go_on() {
+    let tour = Tour { photographs: 6, laps: 0.2, ..tour() };
+    let (all, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (from, to) = (all.path(), folder.path());
+    tour.write(from).unwrap();
+    (0..6).for_each(|i| put(from, to, i, &tour));
+    let table = to.join("frames.csv");
+    let check = |left: &[(usize, &str)], twice: Option<&str>, tracking: &Tracking| {
+        let mut live = Live::open(to, tracking, Wanted::default(), |_| Ok(options(&tour))).unwrap();
+        let arrivals = come(&mut live);
+        for (i, why) in left {
+            let arrival = arrivals.iter().find(|arrival| arrival.name == photograph(*i)).unwrap();
+            assert!(arrival.place.clone().unwrap_err().contains(why), "{arrivals:?}");
+        }
+        assert_eq!(live.count(), 6 - left.len(), "{arrivals:?}");
+        assert!(live.is_settled());
+        let (shots, notes) = live.finish().unwrap();
+        assert_eq!((shots.shots.len(), notes.len()), (6 - left.len(), left.len() + twice.iter().len()));
+        for (name, why) in left.iter().map(|(i, why)| (photograph(*i), *why)) {
+            assert!(notes.iter().any(|note| note.contains(&name) && note.contains(why)), "{notes:?}");
+        }
+        if let Some(twice) = twice {
+            assert!(notes.iter().any(|note| note.starts_with("frames.csv") && note.contains(twice)));
+        }
+    };
+    // How it was turned.
+    let turned = |i: usize, more: &str| turned(&photograph(i), tour.truth()[i]).replace('\n', more);
+    let lines = [
+        turned(0, ",1,\n"),
+        turned(1, ",0,\n"),
+        turned(2, ",1,\n"),
+        turned(0, ",1,\n"),
+        turned(3, ",1,-2\n"),
+        turned(4, ",1,3\n"),
+        turned(5, ",1,\n"),
+    ];
+    fs::write(&table, format!("file,qw,qx,qy,qz,exposure_s,sigma_deg\n{}", lines.concat())).unwrap();
+    let faults = [(1, "exposure_s = 0"), (3, "sigma_deg = -2")];
+    check(&faults, Some("lists 000.png twice"), &Tracking::default());
+    // When it was taken.
+    fs::write(to.join("tracker.jsonl"), records_until(from, 1e9)).unwrap();
+    let times = head(from, "frames.csv", |i, _| i > 0);
+    let line = |i: usize| format!("{}\n", times.lines().nth(i).unwrap());
+    let order: String = [0, 3, 2, 4, 1, 5].map(line).concat();
+    fs::write(&table, format!("file,time_s\n{order}")).unwrap();
+    check(&[(2, "earlier than 003.png"), (1, "earlier than 004.png")], None, &tracking(&tour));
+}
+
+#[test]
+fn a_table_of_times_stays_one_when_a_later_line_says_how_the_camera_was_turned() {
+    let tour = Tour { photographs: 4, laps: 0.15, ..tour() };
+    let (all, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (from, to) = (all.path(), folder.path());
+    tour.write(from).unwrap();
+    (0..4).for_each(|i| put(from, to, i, &tour));
+    fs::write(to.join("tracker.jsonl"), records_until(from, 1e9)).unwrap();
+    let times = head(from, "frames.csv", |i, _| i > 0);
+    let lines: Vec<String> = times.lines().map(|line| format!("{line},,,,\n")).collect();
+    let table = |lines: &[String]| {
+        fs::write(to.join("frames.csv"), format!("file,time_s,qw,qx,qy,qz\n{}", lines.concat())).unwrap();
+    };
+    table(&lines[..2]);
+    let mut live = Live::open(to, &tracking(&tour), Wanted::default(), |_| Ok(options(&tour))).unwrap();
+    assert_eq!(placed(&come(&mut live)).len(), 2);
+    let turned = lines[2].replace(",,,,", ",1,0,0,0");
+    table(&[lines[0].clone(), lines[1].clone(), turned, lines[3].clone()]);
+    let (found, not): (Vec<Arrival>, _) = come(&mut live).into_iter().partition(|a| a.place.is_ok());
+    assert!(found.len() == 1 && not.len() == 1 && not[0].name == "002.png", "{not:?}");
+    let (shots, notes) = live.finish().unwrap();
+    assert!(shots.shots.len() == 3 && notes.len() == 1 && notes[0].contains("002.png"), "{notes:?}");
+}
+
+#[test]
 fn a_map_is_made_of_those_that_have_a_place_and_of_the_others_it_is_said_why() {
     let tour = Tour { photographs: 6, laps: 0.2, ..tour() };
     let (all, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
@@ -285,7 +423,7 @@ fn a_map_is_made_of_those_that_have_a_place_and_of_the_others_it_is_said_why() {
     for (name, why) in [
         ("small.png", "50x40"),
         ("missing.png", "not there"),
-        ("half.png", "too late"),
+        ("half.png", "complete"),
         ("unsaid.png", "neither how"),
         ("unlisted.png", "does not list"),
     ] {
@@ -314,7 +452,15 @@ fn what_follows_the_last_line_break_of_a_table_waits_and_so_does_what_cannot_be_
     }
     std::thread::sleep(Duration::from_millis(3100));
     let arrivals = come(&mut live);
-    assert!(arrivals.len() == 1 && arrivals[0].place.clone().unwrap_err().contains("last line break"));
+    assert!(
+        arrivals[0].name == "frames.csv" && arrivals[0].place.clone().unwrap_err().contains("line break")
+    );
+    // And what has been there for long without a line.
+    for (arrival, i) in arrivals[1..].iter().zip([1, 2]) {
+        assert!(arrival.name == photograph(i), "{arrivals:?}");
+        assert!(arrival.place.clone().unwrap_err().contains("does not list it"), "{arrivals:?}");
+    }
+    assert_eq!(arrivals.len(), 3);
     assert!(come(&mut live).is_empty(), "once is enough");
     fs::write(&file, &two).unwrap();
     let places = placed(&come(&mut live));
@@ -325,6 +471,7 @@ fn what_follows_the_last_line_break_of_a_table_waits_and_so_does_what_cannot_be_
     fs::remove_file(&file).unwrap();
     let file = to.join("frames.json");
     let json = r#"{"frames": [{"file": "000.png", "yaw_deg": 0, "pitch_deg": 0, "roll_deg": 0}]}"#;
+    fs::write(&file, "").unwrap();
     let mut live = open();
     for end in (0..json.len()).step_by(7) {
         fs::write(&file, &json[..end]).unwrap();

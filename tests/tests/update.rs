@@ -196,6 +196,38 @@ fn a_lamp_that_was_switched_off_leaves_what_the_photographs_show() {
 }
 
 #[test]
+fn a_lamp_of_one_colour_has_its_factor() {
+    let folder = tempfile::tempdir().unwrap();
+    let lamp = DVec3::new(0.2, 0.1, -1.0).normalize();
+    // Red, with little blue or none, in a room that is dim beside it.
+    for blue in [5e-4, 0.0] {
+        let radiance = |d: DVec3, factor: f64| match d.angle_between(lamp) < 0.2 {
+            true => [1.6, 0.4, blue].map(|lamp| factor * lamp),
+            false => [0.04 * wall(d); 3],
+        };
+        let mut map = map(|_| true);
+        let at = |i: usize| DVec2::new((i % 512) as f64, (i / 512) as f64);
+        for i in 0..map.radiance.len() {
+            map.radiance[i] = radiance(map.size.direction(at(i)), 1.0).map(|value| value as f32);
+        }
+        map.variance.fill(1e-7);
+        let made = made(&map, &photographs(folder.path(), |d| radiance(d, 0.5), 0.0), false).unwrap();
+        println!("{:?}", made.lamps);
+        assert!(made.lamps.len() == 1 && made.lamps[0].is_own);
+        let (factor, sigma) = made.lamps[0].factor.unwrap();
+        for c in 0..3 {
+            assert!(factor[c].is_finite() && sigma[c].is_finite() && sigma[c] > 0.0);
+        }
+        for c in 0..2 {
+            assert!((factor[c] / 0.5 - 1.0).abs() < 3.0 * sigma[c] && sigma[c] < 0.1);
+        }
+        let now = made.map.toward(lamp).0;
+        assert!((now[0] / 0.8 - 1.0).abs() < 0.05 && (now[1] / 0.2 - 1.0).abs() < 0.05, "{now:?}");
+        assert!(now[2] < 0.01, "{now:?}");
+    }
+}
+
+#[test]
 fn where_photographs_cannot_be_turned_to_the_map_that_is_said_and_no_part_of_a_turn_is_taken() {
     let folder = tempfile::tempdir().unwrap();
     let mut even = map(|_| true);

@@ -3,13 +3,13 @@
 //! The folder's table says how the camera was turned, or when; without a table the tracker's records at the time when a photograph was written do, and
 //! without a tracker its corners, beside those of earlier photographs. What is needed to make the map afterwards is written as `frames.csv`.
 
+mod files;
 mod table;
 mod views;
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use glam::{DQuat, DVec3};
 
@@ -22,8 +22,9 @@ use crate::geometry::{Lens, world_from_camera};
 use crate::picture::Picture;
 use crate::tracker::{Causal, Tail};
 use crate::{Error, Result};
-use table::{Row, ended, name, table_in, write};
-use views::{View, Views};
+use files::{Line, Sizes, by_time};
+use table::{Ended, Row, begun, ended, faults, name, table_in, words, write};
+use views::{View, Views, smaller};
 
 /// The tracker's jitter is forgotten in so many seconds.
 pub const MEMORY_S: f64 = 0.1;
@@ -31,11 +32,8 @@ pub const MEMORY_S: f64 = 0.1;
 const SILENT_S: f64 = 0.25;
 /// Records may come so much later than the photograph.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// A file that cannot be read and has not grown for so long is no photograph, or a table with a fault.
-const BROKEN: Duration = Duration::from_secs(3);
-/// Pixels across for a look.
-const LOOK: u32 = 320;
-
+/// A look that lasted so long comes to its end.
+const ENOUGH: Duration = Duration::from_millis(500);
 /// A photograph that has come, or what is to be said of the table.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Arrival {
@@ -67,20 +65,20 @@ pub struct Live<'a> {
     wanted: Wanted,
     /// What says which photographs there are, where somebody else writes it.
     table: Option<PathBuf>,
-    /// The table's lens.
+    /// The table's lens, and whether it leaves turns to the tracker, once it lists a photograph.
     lens: Option<Lens>,
+    is_tracked: Option<bool>,
     tracker: Option<(Tail, Causal)>,
     said: Option<DQuat>,
-    /// Sizes of files when they were last looked at, and since when.
-    sizes: BTreeMap<PathBuf, (u64, Instant)>,
+    sizes: Sizes,
     /// Photographs that were read, or never will be.
     known: BTreeSet<PathBuf>,
     waiting: Vec<Waiting>,
     /// Why photographs have no place, and what is wrong with the table.
     left: BTreeMap<PathBuf, String>,
     is_settled: bool,
-    /// The first photograph's size, and its lens.
-    first: Option<((u32, u32), Lens)>,
+    /// The first photograph's size and highest level, and its lens.
+    first: Option<((u32, u32, u16), Lens)>,
     coverage: Option<Coverage>,
     views: Views,
     placed: Vec<Row>,
@@ -95,14 +93,6 @@ struct Waiting {
     compared: usize,
     since: Instant,
     why: Option<&'static str>,
-}
-
-/// A photograph as the table, or the folder, has it.
-struct Line {
-    path: PathBuf,
-    turn: Option<DQuat>,
-    sigma_rad: Option<f64>,
-    time_s: Option<f64>,
 }
 
 impl<'a> Live<'a> {
@@ -141,9 +131,10 @@ impl<'a> Live<'a> {
             wanted,
             table: table_in(folder),
             lens: None,
+            is_tracked: None,
             tracker,
             said: None,
-            sizes: BTreeMap::new(),
+            sizes: Sizes::default(),
             known: BTreeSet::new(),
             waiting: vec![],
             left: BTreeMap::new(),
@@ -194,7 +185,7 @@ impl<'a> Live<'a> {
         self.is_settled
     }
 
-    /// What has come since it was last asked. A photograph counts when it has not grown since the last time.
+    /// What has come since it was last asked. A photograph counts when it has not grown since the last time; of many some wait for the next look.
     ///
     /// # Errors
     /// [`Error::Io`], or [`Error::Input`] for records that cannot be used, a table with orientations although a tracker was described, or a lens for another
@@ -205,24 +196,36 @@ impl<'a> Live<'a> {
         self.hear()?;
         let lines = self.lines(&mut told)?;
         self.is_settled = lines.is_some();
+        let started = Instant::now();
         for line in lines.into_iter().flatten().filter(|line| line.path.exists()) {
             let path = line.path.clone();
-            if !self.known.contains(&path) && self.is_whole(&path) {
+            let is_new = !self.known.contains(&path) && self.sizes.is_whole(&path);
+            if is_new && started.elapsed() < ENOUGH {
                 self.receive(line, &mut told)?;
             }
             self.is_settled &= self.known.contains(&path);
         }
         // One that has its place now may tell that of others.
-        while self.place(&mut told) {}
+        while self.place(&mut told) {
+            if started.elapsed() > ENOUGH {
+                self.is_settled = false;
+                break;
+            }
+        }
         self.is_settled &= self.waiting.iter().all(|waiting| waiting.why.is_some());
         Ok(told)
     }
 
-    /// Ends: gives the photographs that have a place, and tells which were left out and why. Writes `frames.csv` where nobody else has written a table.
+    /// Ends: gives the photographs that have a place, and tells which were left out and why. Writes `frames.csv` where nobody else has written a table, or
+    /// `frames-live.csv` beside one that lists nothing.
     ///
     /// # Errors
     /// [`Error::Input`] where no photograph has a place, [`Error::Io`] where the table cannot be written, or what [`Shots::read_tracked`] refuses.
     pub fn finish(mut self) -> Result<(Shots, Vec<String>)> {
+        let (there, gone): (Vec<Row>, Vec<Row>) =
+            std::mem::take(&mut self.placed).into_iter().partition(|row| row.path.exists());
+        self.placed = there;
+        self.left.extend(gone.into_iter().map(|row| (row.path, "it is not there any more".into())));
         if self.placed.is_empty() {
             return Err(Error::input(
                 &self.folder,
@@ -230,15 +233,35 @@ impl<'a> Live<'a> {
                 "put photographs there while --live waits, with frames.csv, a tracker's records, or details that overlap",
             ));
         }
-        let others = self.table.take().or_else(|| table_in(&self.folder));
+        let others = self.table.take().or_else(|| begun(&self.folder));
         let is_ours = others.is_none();
         let table =
             others.map_or_else(|| write(&self.folder, &mut self.placed, self.tracker.is_some()), Ok)?;
-        let ((mut frames, lens), _) = ended(&table)?;
+        if let Some(other) = table_in(&self.folder).filter(|other| is_ours && *other != table) {
+            let why = format!(
+                "is of no use: it lists no photograph, or cannot be read; {} says how the camera was turned",
+                name(&table)
+            );
+            self.left.insert(other, why);
+        }
+        let Ended { frames, lens, wrong } = ended(&table)?;
+        self.left.remove(&table);
+        self.left.extend(wrong.map(|wrong| (table.clone(), wrong)));
+        let faults = self.faults(&frames, &table)?;
         let placed: BTreeSet<PathBuf> = self.placed.iter().map(|row| row.path.clone()).collect();
-        let path_of = |frame: &Frame| self.folder.join(&frame.file);
-        let listed: BTreeSet<PathBuf> = frames.iter().map(path_of).collect();
-        frames.retain(|frame| placed.contains(&path_of(frame)));
+        let listed: BTreeSet<PathBuf> = frames.iter().map(|frame| self.folder.join(&frame.file)).collect();
+        let mut used = vec![];
+        for (frame, fault) in frames.into_iter().zip(faults) {
+            let path = self.folder.join(&frame.file);
+            match fault {
+                Some(fault) => drop(self.left.insert(path, fault)),
+                None if placed.contains(&path) => {
+                    self.left.remove(&path);
+                    used.push(frame);
+                }
+                None => {}
+            }
+        }
         let all =
             list(&self.folder)?.0.into_iter().chain(listed.iter().cloned()).chain(placed.iter().cloned());
         for path in all.filter(|path| !(placed.contains(path) && listed.contains(path))) {
@@ -253,11 +276,10 @@ impl<'a> Live<'a> {
         }
         let mut notes: BTreeMap<String, Vec<String>> = BTreeMap::new();
         for (path, why) in self.left {
-            let why = if path == table { why } else { format!("left out: {why}") };
-            notes.entry(why).or_default().push(name(&path));
+            notes.entry(words(&path, &why)).or_default().push(name(&path));
         }
         let notes = notes.into_iter().map(|(why, names)| format!("{}: {why}", names.join(", "))).collect();
-        Ok((Shots::of((frames, lens), &table, &self.tracking)?, notes))
+        Ok((Shots::of((used, lens), &table, &self.tracking)?, notes))
     }
 
     /// Somebody else's table may come later; then it counts from the beginning.
@@ -265,7 +287,7 @@ impl<'a> Live<'a> {
         if self.table.is_some() {
             return;
         }
-        self.table = table_in(&self.folder);
+        self.table = begun(&self.folder);
         let Some(table) = self.table.as_ref().filter(|_| !self.known.is_empty()) else { return };
         let why = "has come: it says how the camera was turned, and all photographs are placed anew";
         told.push(Arrival { name: name(table), place: Err(why.into()) });
@@ -296,71 +318,75 @@ impl<'a> Live<'a> {
     /// The photographs that there are, in the order in which they were taken; `None` while the table is being written.
     fn lines(&mut self, told: &mut Vec<Arrival>) -> Result<Option<Vec<Line>>> {
         let Some(table) = self.table.clone() else {
-            let mut lines = vec![];
-            for path in list(&self.folder)?.0.into_iter().filter(|path| !self.known.contains(path)) {
-                // Between two looks another program may take its file away again.
-                let Ok(written) = fs::metadata(&path).and_then(|data| data.modified()) else { continue };
-                let time_s = written.duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64();
-                lines.push(Line { path, turn: None, sigma_rad: None, time_s: Some(time_s) });
-            }
-            lines.sort_by(|a, b| {
-                let time_s = |line: &Line| line.time_s.unwrap_or(0.0);
-                time_s(a).total_cmp(&time_s(b)).then_with(|| a.path.cmp(&b.path))
-            });
-            return Ok(Some(lines));
+            return by_time(&self.folder, &self.known).map(Some);
         };
-        if !self.is_whole(&table) {
+        if !self.sizes.is_whole(&table) {
             return Ok(None);
         }
         let read = ended(&table);
         let wrong = match &read {
-            Ok((_, true)) => {
-                Some("what follows its last line break is left out, as it may be half written".into())
-            }
-            Ok(_) => None,
-            // A writer may have stopped anywhere.
+            Ok(ended) => ended.wrong.clone(),
             Err(error) => Some(error.to_string()),
         };
         match wrong {
             None => drop(self.left.remove(&table)),
-            Some(wrong) if self.has_stayed(&table) && self.left.get(&table) != Some(&wrong) => {
-                told.push(Arrival { name: name(&table), place: Err(wrong.clone()) });
-                self.left.insert(table.clone(), wrong);
-            }
+            // A writer may have stopped anywhere.
+            Some(wrong) if self.sizes.has_stayed(&table, 0) => self.leave(table.clone(), wrong, told),
             Some(_) => {}
         }
-        let Ok(((frames, lens), _)) = read else { return Ok(None) };
-        let is_tracked = is_tracked(&frames, &table, &self.tracking)?;
+        let Ok(Ended { frames, lens, .. }) = read else { return Ok(None) };
         self.lens = lens;
-        let line = |frame: Frame| Line {
-            path: self.folder.join(&frame.file),
-            turn: frame.orientation().filter(|_| !is_tracked),
-            sigma_rad: frame.sigma_deg.map(f64::to_radians),
-            time_s: frame.time_s.filter(|_| is_tracked),
-        };
-        Ok(Some(frames.into_iter().map(line).collect()))
-    }
-
-    /// Whether a file is there and has not grown since it was last looked at.
-    fn is_whole(&mut self, path: &Path) -> bool {
-        let Ok(size) = fs::metadata(path).map(|data| data.len()) else { return false };
-        let before = self.sizes.get(path).map(|(size, _)| *size);
-        if before != Some(size) {
-            self.sizes.insert(path.into(), (size, Instant::now()));
+        let listed: BTreeSet<PathBuf> = frames.iter().map(|frame| self.folder.join(&frame.file)).collect();
+        for path in list(&self.folder)?.0 {
+            // Its line may be written after it.
+            if !listed.contains(&path) && !self.known.contains(&path) {
+                self.sizes.is_whole(&path);
+                if self.sizes.has_stayed(&path, 1) {
+                    self.leave(path, format!("{} does not list it", name(&table)), told);
+                }
+            }
         }
-        size > 0 && before == Some(size)
+        let faults = self.faults(&frames, &table)?;
+        let is_tracked = self.is_tracked == Some(true);
+        let mut lines = vec![];
+        for (frame, fault) in frames.into_iter().zip(faults) {
+            let path = self.folder.join(&frame.file);
+            match fault {
+                Some(fault) => self.leave(path, fault, told),
+                None => lines.push(Line {
+                    path,
+                    turn: frame.orientation().filter(|_| !is_tracked),
+                    sigma_rad: frame.sigma_deg.map(f64::to_radians),
+                    time_s: frame.time_s.filter(|time_s| is_tracked && time_s.is_finite()),
+                }),
+            }
+        }
+        Ok(Some(lines))
     }
 
-    /// Whether a file has not grown for long.
-    fn has_stayed(&self, path: &Path) -> bool {
-        self.sizes.get(path).is_some_and(|(_, since)| since.elapsed() > BROKEN)
+    /// Of each line of the table what is wrong with it; its first lines settle what it says.
+    fn faults(&mut self, frames: &[Frame], table: &Path) -> Result<Vec<Option<String>>> {
+        let is_tracked = match self.is_tracked {
+            Some(is_tracked) => is_tracked,
+            None => is_tracked(frames, table, &self.tracking)?,
+        };
+        self.is_tracked = (!frames.is_empty()).then_some(is_tracked);
+        Ok(faults(frames, is_tracked, self.tracking.file.is_some(), table))
     }
 
-    /// Leaves a photograph out.
+    /// Tells what is wrong with a table, or why a photograph is left out as long as it is so.
+    fn leave(&mut self, path: PathBuf, why: String, told: &mut Vec<Arrival>) {
+        if self.left.get(&path) != Some(&why) {
+            told.push(Arrival { name: name(&path), place: Err(words(&path, &why)) });
+            self.left.insert(path, why);
+        }
+    }
+
+    /// Leaves a photograph out for ever.
     fn refuse(&mut self, path: PathBuf, why: String, told: &mut Vec<Arrival>) {
-        told.push(Arrival { name: name(&path), place: Err(format!("left out: {why}")) });
-        self.left.insert(path.clone(), why);
-        self.known.insert(path);
+        self.left.remove(&path);
+        self.known.insert(path.clone());
+        self.leave(path, why, told);
     }
 
     /// Reads a photograph; one that cannot be read yet comes again.
@@ -373,17 +399,21 @@ impl<'a> Live<'a> {
         let picture = match Picture::read(&line.path) {
             Ok(picture) => picture,
             Err(error) => {
-                if self.has_stayed(&line.path) {
+                // What is empty may be begun.
+                if self.sizes.has_stayed(&line.path, 1) {
                     self.refuse(line.path, error.to_string(), told);
+                } else {
+                    self.left.insert(line.path, error.to_string());
                 }
                 return Ok(());
             }
         };
-        let size = (picture.width, picture.height);
+        self.left.remove(&line.path);
+        let size = (picture.width, picture.height, picture.white);
         let lens = match self.first {
             Some((first, _)) if first != size => {
-                let why =
-                    format!("it is {}x{} pixels, the first one {}x{}", size.0, size.1, first.0, first.1);
+                let words = |(width, height, white)| format!("{width}x{height} pixels to level {white}");
+                let why = format!("it is {}, the first one {}", words(size), words(first));
                 self.refuse(line.path, why, told);
                 return Ok(());
             }
@@ -466,13 +496,4 @@ impl<'a> Live<'a> {
         let sigma_rad = at.sigma_rad.hypot(at.rate.length() * late_s);
         Ok(Some((at.orientation * self.mount(), Some(sigma_rad))))
     }
-}
-
-/// Every so many pixels of a picture.
-fn smaller(picture: &Picture) -> Picture {
-    let by = picture.width.div_ceil(LOOK).max(1);
-    let (width, height) = (picture.width.div_ceil(by), picture.height.div_ceil(by));
-    let at = |i: u32| picture.levels[((i / width * by) * picture.width + i % width * by) as usize];
-    let levels = (0..width * height).map(at).collect();
-    Picture { path: picture.path.clone(), width, height, levels, white: picture.white }
 }

@@ -167,16 +167,8 @@ impl Shots {
                     tracked.map(|prior| prior.turn).or_else(|| frame.orientation()).ok_or_else(|| {
                         Error::input(file, format!("has no usable orientation of {name}"), REMEDY)
                     })?;
-                let stated = [
-                    ("exposure_s", frame.exposure_s),
-                    ("iso", frame.iso),
-                    ("f_number", frame.f_number),
-                    ("sigma_deg", frame.sigma_deg),
-                ];
-                if let Some((word, number)) =
-                    stated.iter().find(|(_, n)| n.is_some_and(|n| !(n.is_finite() && n > 0.0)))
-                {
-                    let what = format!("has for {name} {word} = {}", number.unwrap_or_default());
+                if let Some(fault) = frame.fault() {
+                    let what = format!("has for {name} {fault}");
                     return Err(Error::input(file, what, "give a positive number, or leave it out"));
                 }
                 let exposure = frame.exposure_s.map(|time_s| {
@@ -356,6 +348,20 @@ fn json(text: &str) -> std::result::Result<(Vec<Frame>, Option<Lens>), String> {
 }
 
 impl Frame {
+    /// A number that must be positive and is not.
+    pub(super) fn fault(&self) -> Option<String> {
+        let stated = [
+            ("exposure_s", self.exposure_s),
+            ("iso", self.iso),
+            ("f_number", self.f_number),
+            ("sigma_deg", self.sigma_deg),
+        ];
+        let is_wrong = |number: &f64| !(number.is_finite() && *number > 0.0);
+        stated
+            .iter()
+            .find_map(|(word, number)| number.filter(is_wrong).map(|number| format!("{word} = {number}")))
+    }
+
     /// How it says the camera was turned: camera frame to the world.
     pub(super) fn orientation(&self) -> Option<DQuat> {
         if let (Some(w), Some(x), Some(y), Some(z)) = (self.qw, self.qx, self.qy, self.qz) {

@@ -96,6 +96,10 @@ pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Re
             log.check()?;
         }
         let arrivals = live.look()?;
+        // After a table that came late all begins anew.
+        if live.coverage().is_none() {
+            next = None;
+        }
         let last = arrivals.iter().rposition(|arrival| arrival.place.is_ok());
         for (i, arrival) in arrivals.into_iter().enumerate() {
             let words = match (arrival.place, live.coverage()) {
@@ -118,6 +122,8 @@ pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Re
             if live.is_settled() || looked > until {
                 break is_whole;
             }
+        } else {
+            until = None;
         }
         // What is due is looked at at even intervals.
         std::thread::sleep(LOOK.saturating_sub(looked.elapsed()));
@@ -128,7 +134,6 @@ pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Re
     if let Some(log) = log {
         say!("{} of the tracker", count_of(log.finish()? as usize, "record"));
     }
-    let count = live.count();
     let seen = live.coverage().map_or((0.0, 0.0), Coverage::seen);
     let (shots, notes) = live.finish()?;
     for note in notes {
@@ -137,7 +142,7 @@ pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Re
     say!(
         "{}: {} with {:.1} % of the sphere, {:.1} % of what is wanted; {} shows it; now the map",
         if is_whole { "everything wanted was seen" } else { "ended by Ctrl-C" },
-        count_of(count, "photograph"),
+        count_of(shots.shots.len(), "photograph"),
         100.0 * seen.0,
         100.0 * seen.1,
         picture.display()

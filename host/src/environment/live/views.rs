@@ -9,6 +9,8 @@ use crate::environment::mosaic::DETAILED;
 use crate::geometry::{Lens, world_from_camera};
 use crate::picture::Picture;
 
+/// Pixels across for a look.
+const LOOK: u32 = 320;
 /// Pixels across for corners.
 const GRAY: u32 = 640;
 /// Photographs that are compared with a new one: the last ones, how far apart they may point (standard deviation about each axis, radians), and then those
@@ -94,4 +96,13 @@ impl Views {
         });
         Ok(surest(again.chain([found]).collect()).unwrap_or(found))
     }
+}
+
+/// Every so many pixels of a picture.
+pub(super) fn smaller(picture: &Picture) -> Picture {
+    let by = picture.width.div_ceil(LOOK).max(1);
+    let (width, height) = (picture.width.div_ceil(by), picture.height.div_ceil(by));
+    let at = |i: u32| picture.levels[((i / width * by) * picture.width + i % width * by) as usize];
+    let levels = (0..width * height).map(at).collect();
+    Picture { path: picture.path.clone(), width, height, levels, white: picture.white }
 }

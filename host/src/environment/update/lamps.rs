@@ -28,6 +28,8 @@ const AROUND_RAD: f64 = 0.01;
 const SHOWN: f64 = 0.5;
 /// A lamp's power is not kept better than this when photographs are put on the sphere, relative.
 const SAMPLED: f64 = 0.01;
+/// So much of a channel is taken to be held, of the lamp's power, and to be left, of what was held.
+const LEAST_LEFT: f64 = 1e-3;
 
 /// What has become of a lamp.
 #[derive(Debug, Clone, PartialEq)]
@@ -37,7 +39,8 @@ pub struct Lamp {
     /// Its part of the luminance from all directions of the map.
     pub share: f64,
     /// Red, green and blue of its power now over before, and their relative standard deviations; `None` where the photographs show less than half of it,
-    /// or either is saturated there, or no more of its power is left than its doubt: it goes with the rest.
+    /// or either is saturated there, or no more of its power, of all colours together, is left than its doubt: it goes with the rest. A colour of which less is left has a thousandth,
+    /// with its doubt.
     pub factor: Option<([f64; 3], [f64; 3])>,
     /// Whether it differs from the rest by more than the threshold and three sigmas: then it was multiplied by its own factor.
     pub is_own: bool,
@@ -213,7 +216,8 @@ impl Lamps {
                     (0..3).for_each(|c| moved[c] += angle * radiance[c]);
                 }
             }
-            if core.iter().sum::<f64>() < SHOWN * whole || core.iter().any(|core| *core <= 0.0) {
+            let all = core.iter().sum::<f64>();
+            if all < SHOWN * whole || all <= 0.0 {
                 return none;
             }
             let power = [0, 1, 2].map(|c| after[c] - rest[c] * ring[c]);
@@ -228,13 +232,16 @@ impl Lamps {
                 placed.hypot(bent).hypot(around).hypot(noise[c].sqrt())
             });
             // One that was switched off leaves nothing that could be multiplied.
-            if (0..3).any(|c| power[c] <= doubt[c]) {
+            if power.iter().sum::<f64>() <= doubt.iter().sum::<f64>() {
                 return none;
             }
-            let factor = [0, 1, 2].map(|c| power[c] / core[c]);
-            let own = [0, 1, 2].map(|c| (doubt[c] / power[c]).hypot(SAMPLED));
+            // Of a coloured one a channel may hold nothing.
+            let held = core.map(|core| core.max(LEAST_LEFT * all));
+            let left = [0, 1, 2].map(|c| power[c].max(LEAST_LEFT * held[c]));
+            let factor = [0, 1, 2].map(|c| left[c] / held[c]);
+            let own = [0, 1, 2].map(|c| (doubt[c] / left[c]).hypot(SAMPLED));
             let is_own = (0..3).any(|c| {
-                let off = (factor[c].max(1e-9) / rest[c]).ln().abs();
+                let off = (factor[c] / rest[c]).ln().abs();
                 off > (1.0 + threshold).ln().max(SIGMAS * own[c])
             });
             Lamp { factor: Some((factor, own.map(|own| own.hypot(scale_sigma)))), is_own, ..none }
