@@ -21,6 +21,7 @@ fn map(rows: u32, radiance: impl Fn(DVec3) -> [f32; 3]) -> EnvironmentMap {
         coverage: vec![],
         flags: vec![],
         unit: Default::default(),
+        curve: vec![],
     }
 }
 

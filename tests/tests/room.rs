@@ -44,6 +44,7 @@ fn map(
         coverage: vec![],
         flags: vec![],
         unit: Default::default(),
+        curve: vec![],
     }
 }
 

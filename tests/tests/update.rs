@@ -38,6 +38,7 @@ fn map_of(rows: u32, seen: impl Fn(DVec3) -> bool) -> EnvironmentMap {
         coverage: vec![3; size.count()],
         flags,
         unit: UNIT,
+        curve: vec![],
     }
 }
 

@@ -134,6 +134,7 @@ mod tests {
             coverage: vec![],
             flags: vec![],
             unit: Default::default(),
+            curve: vec![],
         }
     }
 

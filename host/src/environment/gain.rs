@@ -6,8 +6,8 @@ use rayon::prelude::*;
 
 use super::lattice::evenly;
 use super::warp::Border;
-use crate::Result;
 use crate::geometry::Lens;
+use crate::{Error, Result};
 
 /// Directions that are looked at.
 const DIRECTIONS: usize = 40_000;
@@ -86,12 +86,15 @@ pub(super) fn shade_r2(lens: &Lens, x: f64, y: f64) -> f64 {
 }
 
 /// Solves green, with the curve where the response is only assumed (`bends`) and the exposures stated tell it; red and blue, whose
-/// white balance may change, follow the same curve. `white` is the exposure of the highest level.
+/// white balance may change, follow the same curve. `white` is the exposure of the highest level; a `curve` that is known is taken.
+///
+/// # Errors
+/// [`Error::Request`] for a curve with another number of knots.
 pub(super) fn solve(
     blocks: &[Blocks],
     turns: &[DQuat],
     stated: &[Option<f64>],
-    (white, bends): (f64, bool),
+    (white, bends, curve): (f64, bool, &[f64]),
 ) -> Result<[Photometry; 3]> {
     for blocks in blocks {
         Border::new(&blocks.lens)?;
@@ -121,11 +124,19 @@ pub(super) fn solve(
         gains: vec![],
         sigmas: vec![],
         shape: [0.0; 2],
-        curve: [0.0; KNOTS],
+        curve: if curve.is_empty() {
+            [0.0; KNOTS]
+        } else {
+            curve.try_into().map_err(|_| {
+                let what = format!("a camera's curve of {} knots, not {KNOTS}", curve.len());
+                Error::request(what, "make the map anew")
+            })?
+        },
         ln_white: white.ln(),
         alone,
     };
-    let green = channel_of(1, &looks, stated, (&start, bends && spread > SPREAD));
+    let bends = bends && curve.is_empty() && spread > SPREAD;
+    let green = channel_of(1, &looks, stated, (&start, bends));
     let start = Photometry { curve: green.curve, ..start };
     let other = |channel| channel_of(channel, &looks, stated, (&start, false));
     let (red, blue) = rayon::join(|| other(0), || other(2));

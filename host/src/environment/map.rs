@@ -12,9 +12,10 @@ use crate::geometry::LatLong;
 use crate::picture::Picture;
 use crate::{Error, Result, file};
 
-/// The attribute of a map that Rigel wrote, and the one that says its unit.
+/// The attribute of a map that Rigel wrote, and those that say its unit and its camera's curve.
 const MARK: &str = "rigelEnvironment";
 const UNIT: &str = "rigelUnit";
+const CURVE: &str = "rigelCurve";
 const SOFTWARE: &str = concat!("rigel ", env!("CARGO_PKG_VERSION"));
 
 /// What is special about a pixel; 0 is nothing.
@@ -93,6 +94,9 @@ pub struct EnvironmentMap {
     pub flags: Vec<Flag>,
     /// What the radiance is counted in.
     pub unit: Unit,
+    /// What the photographs' stated exposures told of the camera's curve: ln of exposure over that of sRGB, at exposures even in the root 2.2 of their
+    /// part of white. Empty where they told nothing.
+    pub curve: Vec<f64>,
 }
 
 impl EnvironmentMap {
@@ -134,6 +138,10 @@ impl EnvironmentMap {
         };
         attributes.other.insert(MARK.into(), AttributeValue::I32(1));
         attributes.other.insert(UNIT.into(), AttributeValue::Text(self.unit.name().into()));
+        if !self.curve.is_empty() {
+            let knots: Vec<String> = self.curve.iter().map(|value| format!("{value:.6}")).collect();
+            attributes.other.insert(CURVE.into(), AttributeValue::Text(knots.join(",").as_str().into()));
+        }
         let size = (self.size.width(), self.size.height());
         let layer = Layer::new(size, attributes, Encoding::FAST_LOSSLESS, AnyChannels::sort(channels));
         write_layer(path, layer)
@@ -144,7 +152,7 @@ impl EnvironmentMap {
     /// # Errors
     /// [`Error::Io`], or [`Error::Input`] where it is no such picture or holds a negative or infinite pixel.
     pub fn read(path: &Path) -> Result<Self> {
-        let Pixels { size: (width, height), radiance, variance, coverage, flags, unit } = read(path)?;
+        let Pixels { size: (width, height), radiance, variance, coverage, flags, unit, curve } = read(path)?;
         let size = LatLong::new(width, height).map_err(|error| error.about(path))?;
         let wrong =
             radiance.iter().position(|pixel| !pixel.iter().all(|value| value.is_finite() && *value >= 0.0));
@@ -157,7 +165,7 @@ impl EnvironmentMap {
             );
             return Err(Error::input(path, what, "give a map of radiance, which is finite and not negative"));
         }
-        Ok(Self { size, radiance, variance, coverage, flags, unit })
+        Ok(Self { size, radiance, variance, coverage, flags, unit, curve })
     }
 
     /// The radiance from a direction of any length, linear between pixels; how much of it was seen (0 to 1); and what is special
@@ -263,6 +271,7 @@ struct Pixels {
     coverage: Vec<u16>,
     flags: Vec<Flag>,
     unit: Unit,
+    curve: Vec<f64>,
 }
 
 fn read(path: &Path) -> Result<Pixels> {
@@ -295,6 +304,17 @@ fn read(path: &Path) -> Result<Pixels> {
             Some(AttributeValue::Text(name)) if own => Unit::named(&name.to_string()),
             _ => Unit::Unknown,
         };
+        let curve = match layer.attributes.other.get(&exr::meta::attribute::Text::from(CURVE)) {
+            Some(AttributeValue::Text(knots)) if own => {
+                let knots: std::result::Result<Vec<f64>, _> =
+                    knots.to_string().split(',').map(str::parse::<f64>).collect();
+                let is_usable = |knots: &Vec<f64>| knots.iter().all(|knot| knot.is_finite());
+                knots.ok().filter(is_usable).ok_or_else(|| {
+                    Error::input(path, format!("its attribute {CURVE} is no list of numbers"), remedy)
+                })?
+            }
+            _ => vec![],
+        };
         let values = |name: &str| {
             let channel = plane(name).filter(|_| own);
             channel.map_or_else(Vec::new, |channel| channel.sample_data.values_as_f32().collect())
@@ -306,6 +326,7 @@ fn read(path: &Path) -> Result<Pixels> {
             coverage: values("coverage").into_iter().map(|value| value as u16).collect(),
             flags: values("flags").into_iter().map(|value| value as Flag).collect(),
             unit,
+            curve,
         });
     }
     let picture = Picture::read(path)?;
@@ -320,5 +341,6 @@ fn read(path: &Path) -> Result<Pixels> {
         coverage: vec![],
         flags: vec![],
         unit: Unit::Unknown,
+        curve: vec![],
     })
 }

@@ -446,6 +446,7 @@ mod tests {
                     coverage: merged.coverage,
                     flags: vec![0; size().count()],
                     unit: Default::default(),
+                    curve: vec![],
                 };
                 map.write(&file).unwrap();
                 assert_eq!(EnvironmentMap::read(&file).unwrap().radiance, map.radiance);

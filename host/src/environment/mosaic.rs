@@ -35,6 +35,8 @@ pub struct Options {
     pub response: Option<PathBuf>,
     /// Levels are proportional to exposure.
     pub linear: bool,
+    /// What is known of the camera's curve beside sRGB, as a map's [`EnvironmentMap::curve`]; empty where the exposures are to tell.
+    pub curve: Vec<f64>,
     /// How plates are merged.
     pub merge: MergeOptions,
     /// Whether what was never seen is filled from what is around.
@@ -52,6 +54,7 @@ impl Options {
             refine: true,
             response: None,
             linear: false,
+            curve: vec![],
             merge: MergeOptions { feather: 4, disagreement: Some(0.1) },
             fill: false,
         }
@@ -203,8 +206,14 @@ pub fn mosaic(shots: &Shots, options: &Options, progress: &dyn Progress) -> Resu
         pictures.par_iter().map(|picture| blocks(picture, &lens, &response, &noise)).collect();
     let stated: Vec<Option<f64>> = all.iter().map(|shot| shot.exposure).collect();
     let white = f64::from(response.exposure(1)[usize::from(response.white())]);
-    let photometry =
-        solve(&blocks, &aligned.turns, &stated, (white, response.is_assumed() && !options.linear))?;
+    let bends = response.is_assumed() && !options.linear;
+    if !options.curve.is_empty() && !bends {
+        return Err(Error::request(
+            "the map's photographs were taken by sRGB with a curve that their exposures told, not by this response",
+            "leave --response out, or make the map with it too",
+        ));
+    }
+    let photometry = solve(&blocks, &aligned.turns, &stated, (white, bends, &options.curve))?;
     let alone = &photometry[1].alone;
     if alone.len() + 1 >= all.len() {
         return Err(Error::request(
@@ -250,6 +259,11 @@ pub fn mosaic(shots: &Shots, options: &Options, progress: &dyn Progress) -> Resu
         coverage: merged.coverage,
         flags,
         unit: if known.is_empty() { Unit::MeanPhotograph } else { shots.unit },
+        curve: if photometry[1].curve.iter().any(|knot| *knot != 0.0) {
+            photometry[1].curve.to_vec()
+        } else {
+            vec![]
+        },
     };
     if options.fill {
         super::fill::fill(&mut map);

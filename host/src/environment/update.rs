@@ -90,7 +90,8 @@ pub fn update(
             "make the map of photographs that state their exposures in the same way, or say --same-unit if you know better",
         ));
     }
-    let options = Options { size: map.size, fill: false, ..options.clone() };
+    // A few photographs do not tell the camera's curve; without it they would be in another unit.
+    let options = Options { size: map.size, fill: false, curve: map.curve.clone(), ..options.clone() };
     let mut new = mosaic(shots, &options, progress)?;
     let mut turned = Turn { turn: DQuat::IDENTITY, sigma_rad: None };
     if options.refine {

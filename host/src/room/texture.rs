@@ -94,7 +94,15 @@ impl Room {
             })
             .collect::<Result<_>>()?;
         let (radiance, flags) = rows.into_iter().flatten().unzip();
-        Ok(EnvironmentMap { size, radiance, variance: vec![], coverage: vec![], flags, unit: self.unit })
+        Ok(EnvironmentMap {
+            size,
+            radiance,
+            variance: vec![],
+            coverage: vec![],
+            flags,
+            unit: self.unit,
+            curve: vec![],
+        })
     }
 
     /// The radiance at a place of a face, between the texels that show this face and are known.

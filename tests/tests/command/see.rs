@@ -92,6 +92,7 @@ fn every_file_says_what_it_is_and_maps_have_a_picture() {
         coverage: vec![],
         flags: vec![0; 128],
         unit: Default::default(),
+        curve: vec![],
     }
     .write(&at("room.exr"))
     .unwrap();

@@ -104,5 +104,6 @@ fn room() -> Result<EnvironmentMap> {
         coverage: vec![],
         flags: vec![],
         unit: Default::default(),
+        curve: vec![],
     })
 }

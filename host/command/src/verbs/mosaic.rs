@@ -54,11 +54,14 @@ pub fn mosaic(arguments: &Mosaic) -> Result<()> {
     if made.placed.iter().any(|placed| placed.matched > 0) {
         say!(
             "orientations: as sure as the room's own frame is, which all share; each beside the others to a few hundredths of a degree where corners match. \
-             gains: beside what the exposures (or 1, where none is stated) let expect"
+             gains: over what the stated exposures (or 1, where none is) let expect"
         );
     }
-    for placed in &made.placed {
-        let [r, g, b] = placed.gain;
+    let stated: Vec<f64> = shots.shots.iter().filter_map(|shot| shot.exposure).map(f64::ln).collect();
+    let mean = (stated.iter().sum::<f64>() / stated.len().max(1) as f64).exp();
+    for (placed, shot) in made.placed.iter().zip(&shots.shots) {
+        let expected = shot.exposure.map_or(1.0, |exposure| exposure / mean);
+        let [r, g, b] = placed.gain.map(|gain| gain / expected);
         say!(
             "{}: orientation ± {:.3} degrees, {} corners; gain {r:.3} {g:.3} {b:.3} ± {:.1} %",
             placed.name,

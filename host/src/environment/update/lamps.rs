@@ -331,6 +331,7 @@ mod tests {
             coverage: vec![],
             flags: vec![],
             unit: Unit::Unknown,
+            curve: vec![],
         };
         let lamps = Lamps::of(&map, unsure, &Silent).unwrap();
         assert!(lamps.found.len() == 1 && lamps.found[0].0.angle_between(lamp) < 0.01);

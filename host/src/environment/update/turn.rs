@@ -144,7 +144,15 @@ impl Small {
         };
         let (radiance, flags) = (0..size.count()).into_par_iter().map(block).unzip();
         Self {
-            map: EnvironmentMap { size, radiance, variance: vec![], coverage: vec![], flags, unit: map.unit },
+            map: EnvironmentMap {
+                size,
+                radiance,
+                variance: vec![],
+                coverage: vec![],
+                flags,
+                unit: map.unit,
+                curve: vec![],
+            },
         }
     }
 
