@@ -275,15 +275,12 @@ fn open_exr(path: &Path) -> Result<Info> {
         made(Kind::Radiance, "the radiance of a view, with variance and mask", facts)
     } else if has("rigelEnvironment") {
         let map = EnvironmentMap::read(path)?;
-        let share = |flag| {
-            100.0 * map.flags.iter().filter(|flags| *flags & flag != 0).count() as f64
-                / map.flags.len().max(1) as f64
-        };
+        let share = |flag| 100.0 * map.share(flag);
         let mut facts = vec![
             size,
             format!("radiance in {}", map.unit.words()),
-            format!("{:.2} % never seen", share(EnvironmentMap::UNSEEN)),
-            format!("{:.2} % a lower bound (saturated)", share(EnvironmentMap::LOWER_BOUND)),
+            format!("{:.2} % of the sphere never seen", share(EnvironmentMap::UNSEEN)),
+            format!("{:.2} % of the sphere a lower bound (saturated)", share(EnvironmentMap::LOWER_BOUND)),
         ];
         facts.extend(software);
         made(Kind::Environment, "radiance from every direction, latitude-longitude, y up", facts)

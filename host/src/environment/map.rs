@@ -107,6 +107,15 @@ impl EnvironmentMap {
     /// No photograph shows it, and it was filled from what is around.
     pub const FILLED: Flag = 4;
 
+    /// The part of the sphere, 0 to 1, that has any of these flags.
+    pub fn share(&self, flags: Flag) -> f64 {
+        let width = self.size.width();
+        let row = |(row, line): (usize, &[Flag])| {
+            line.iter().filter(|flag| **flag & flags != 0).count() as f64 * self.size.solid_angle(row)
+        };
+        self.flags.chunks_exact(width).enumerate().map(row).sum::<f64>() / (4.0 * std::f64::consts::PI)
+    }
+
     /// Writes OpenEXR with the `latlong` attribute: `R G B`, `variance`, `coverage` and `flags`.
     ///
     /// # Errors

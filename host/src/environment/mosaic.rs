@@ -156,6 +156,14 @@ pub fn mosaic(shots: &Shots, options: &Options, progress: &dyn Progress) -> Resu
     }
     let (lens, calibrated) = lens_of(shots.lens, options, first)?;
     let mut notes = vec![];
+    if let (Some(angle), Some(own), None) = (options.field_of_view_rad, shots.lens, options.lens) {
+        let across = 2.0 * (f64::from(own.width) / 2.0 / own.fx).atan();
+        notes.push(format!(
+            "the field of view given, {:.1} degrees, stands for the lens of the table, which sees {:.1}",
+            angle.to_degrees(),
+            across.to_degrees()
+        ));
+    }
     let response = match (&options.response, options.linear) {
         (Some(path), _) => Response::read_csv(path)?,
         (None, true) => Response::linear(first.white),

@@ -127,7 +127,7 @@ impl Shots {
                 Error::input(
                     path,
                     "holds neither frames.json nor frames.csv",
-                    "name the file with the orientations",
+                    "name the file with the orientations, or let `rigel mosaic --live` find them by what the photographs show",
                 )
             })?
         } else {

@@ -80,14 +80,6 @@ pub fn mosaic(arguments: &Mosaic) -> Result<()> {
     if let Some(picture) = &picture {
         made.map.write_png(picture, LOOK)?;
     }
-    let part = |flag: u8| {
-        let rows = 0..size.height();
-        let angle = rows.map(|row| {
-            let line = &made.map.flags[row * size.width()..(row + 1) * size.width()];
-            line.iter().filter(|&&flags| flags & flag != 0).count() as f64 * size.solid_angle(row)
-        });
-        100.0 * angle.sum::<f64>() / (4.0 * std::f64::consts::PI)
-    };
     let apart = match made.placed.iter().any(|placed| placed.matched > 0) {
         true => format!("matched corners {:.3} degrees apart", made.residual_rad.to_degrees()),
         false => "no corners compared".into(),
@@ -99,9 +91,9 @@ pub fn mosaic(arguments: &Mosaic) -> Result<()> {
         size.height(),
         made.placed.len(),
         made.lens.fx,
-        part(EnvironmentMap::UNSEEN | EnvironmentMap::FILLED),
+        100.0 * made.map.share(EnvironmentMap::UNSEEN | EnvironmentMap::FILLED),
         if arguments.fill { " and filled" } else { "" },
-        part(EnvironmentMap::LOWER_BOUND)
+        100.0 * made.map.share(EnvironmentMap::LOWER_BOUND)
     );
     Ok(())
 }
