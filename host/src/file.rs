@@ -149,6 +149,8 @@ pub(crate) fn write_new(path: &Path, bytes: &[u8]) -> Result<()> {
 /// [`Error::Io`] when the folder cannot be written or the disk is full; then no file was replaced.
 pub fn write_together(folder: &Path, files: &[(String, Vec<u8>)]) -> Result<()> {
     if !folder.exists() {
+        let parent = folder.parent().unwrap_or(Path::new(""));
+        fs::create_dir_all(parent).map_err(Error::io("create", folder))?;
         return write_beside(folder, |temporary| {
             fs::create_dir(temporary).map_err(Error::io("create", folder))?;
             files.iter().try_for_each(|(name, bytes)| {

@@ -81,7 +81,7 @@ const TABLES: [(&str, &str); 10] = [
 /// Tells what the file or folder at `path` is.
 ///
 /// # Errors
-/// [`Error::Io`] when it cannot be read; [`Error::Input`] when it is damaged, or nothing that Rigel writes.
+/// [`Error::Io`] when it cannot be read; [`Error::Input`] when it is damaged, or nothing that is known here.
 pub fn info(path: &Path) -> Result<Info> {
     if zarr::is_store(path) {
         return store(path);
@@ -141,7 +141,7 @@ pub fn info(path: &Path) -> Result<Info> {
     }
     Err(Error::input(
         path,
-        "is nothing that Rigel writes",
+        "is nothing that `rigel info` knows",
         "give a session, a map (.exr), observations.rigel, lens.toml, registration.toml, a table or a page",
     ))
 }
@@ -153,7 +153,7 @@ fn store(path: &Path) -> Result<Info> {
     let views: Vec<&str> =
         about["views"].as_array().into_iter().flatten().filter_map(|v| v.as_str()).collect();
     let mut facts = vec![
-        format!("{} views{}", views.len(), ends(views.into_iter())),
+        format!("{} views{}", views.len(), listed(&views)),
         "radiance and sigma as arrays, with their axes; open it with zarr or xarray".into(),
     ];
     facts.extend(about[zarr::MADE_BY].as_str().map(|name| format!("made by {name}")));
@@ -206,6 +206,7 @@ fn session(path: &Path) -> Result<Info> {
 fn observations(path: &Path, length: u64) -> Result<Info> {
     let map = ObservationMap::open(path)?;
     let header = map.header();
+    let views: Vec<&str> = header.views.iter().map(|view| view.name.as_str()).collect();
     let mut facts = vec![
         format!(
             "{}x{} texels on {:.4} mm x {:.4} mm",
@@ -214,7 +215,7 @@ fn observations(path: &Path, length: u64) -> Result<Info> {
             1e3 * header.surface.width_m,
             1e3 * header.surface.height_m
         ),
-        format!("{} views{}", header.views.len(), ends(header.views.iter().map(|view| view.name.as_str()))),
+        format!("{} views{}", header.views.len(), listed(&views)),
         format!("{:.1} MB", length as f64 / 1e6),
     ];
     if header.photometry.is_some() {
@@ -227,14 +228,30 @@ fn observations(path: &Path, length: u64) -> Result<Info> {
     })
 }
 
-/// The first and the last of some names.
-fn ends<'a>(names: impl Iterator<Item = &'a str>) -> String {
-    let names: Vec<&str> = names.collect();
-    match names.as_slice() {
-        [] => String::new(),
-        [one] => format!(": {one}"),
-        [first, .., last] => format!(": {first} to {last}"),
+/// So many ranges of names are told.
+const RANGES: usize = 12;
+
+/// Names, those whose numbers follow one another as a range: "view000 to view002, view004".
+fn listed(names: &[&str]) -> String {
+    let ranges: Vec<&[&str]> =
+        names.chunk_by(|name, next| following(name).as_deref() == Some(next)).collect();
+    let told = ranges.iter().take(RANGES).map(|range| match range {
+        [first, .., last] => format!("{first} to {last}"),
+        one => one.concat(),
+    });
+    let told = told.collect::<Vec<_>>().join(", ");
+    match ranges.iter().skip(RANGES).map(|range| range.len()).sum() {
+        0 if names.is_empty() => String::new(),
+        0 => format!(": {told}"),
+        others => format!(": {told} and {others} others"),
     }
+}
+
+/// The name with the next number.
+fn following(name: &str) -> Option<String> {
+    let (stem, number) = name.split_at(name.trim_end_matches(|letter: char| letter.is_ascii_digit()).len());
+    let next = number.parse::<u64>().ok()?.checked_add(1)?;
+    Some(format!("{stem}{next:0width$}", width = number.len()))
 }
 
 fn open_exr(path: &Path) -> Result<Info> {
@@ -255,10 +272,10 @@ fn open_exr(path: &Path) -> Result<Info> {
     Ok(if has("rigelModel") {
         let map = ParameterMap::read(path)?;
         let mut facts = map.facts();
-        if let Some(views) =
-            map.diagnostics.as_ref().map(|diagnostics| &diagnostics.seen).filter(|seen| !seen.is_empty())
-        {
-            facts.push(format!("the views that the fit has seen{}", ends(views.iter().map(String::as_str))));
+        let seen = map.diagnostics.iter().flat_map(|diagnostics| &diagnostics.seen);
+        let seen: Vec<&str> = seen.map(String::as_str).collect();
+        if !seen.is_empty() {
+            facts.push(format!("the {} views that the fit has seen{}", seen.len(), listed(&seen)));
         }
         facts.extend(text("rigelVersion").map(|version| format!("made by rigel {version}")));
         made(Kind::ParameterMap, "a parameter map: a model's coefficients for every texel", facts)

@@ -91,6 +91,18 @@ pub fn parse_quaternion(text: &str) -> Result<DQuat> {
 /// # Errors
 /// [`Error::Request`] when it is not two positive whole numbers, or more than 16384 on a side.
 pub fn parse_texels(text: &str) -> Result<Texels> {
+    columns_and_rows(text, "texels")
+}
+
+/// The same of a picture's pixels.
+///
+/// # Errors
+/// Those of [`parse_texels`].
+pub fn parse_pixels(text: &str) -> Result<Texels> {
+    columns_and_rows(text, "pixels")
+}
+
+fn columns_and_rows(text: &str, of: &str) -> Result<Texels> {
     let parts =
         text.split_once('x').and_then(|(c, r)| Some((c.trim().parse().ok()?, r.trim().parse().ok()?)));
     match parts {
@@ -98,7 +110,7 @@ pub fn parse_texels(text: &str) -> Result<Texels> {
             Ok(Texels { columns, rows })
         }
         _ => Err(Error::request(
-            format!("'{text}' is not a number of texels"),
+            format!("'{text}' is not a number of {of}"),
             "write columns and rows as 512x512, at most 16384 each",
         )),
     }

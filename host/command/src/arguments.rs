@@ -59,6 +59,9 @@ pub enum Verb {
     /// See parameter maps in a window, or as the graphics device draws them
     #[cfg(feature = "viewer")]
     View(View),
+    #[cfg(not(feature = "viewer"))]
+    #[command(hide = true, disable_help_flag = true)]
+    View(NoView),
     /// Give parameter maps to others: a web page, or Gaussian splats
     Export(Export),
     /// Tell what a file is and where it came from
@@ -77,6 +80,14 @@ pub enum Verb {
     Room(Room),
     /// Measure speed against accuracy on simulated devices, and what happens where a method breaks: charts and raw figures
     Chart(Chart),
+}
+
+/// Whatever `rigel view` is asked in a build that lacks it.
+#[cfg(not(feature = "viewer"))]
+#[derive(Args)]
+pub struct NoView {
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+    _words: Vec<std::ffi::OsString>,
 }
 
 #[derive(Args)]
@@ -445,6 +456,9 @@ pub struct Render {
     pub out: PathBuf,
     #[command(flatten)]
     pub camera: Camera,
+    /// Replace the picture that is there
+    #[arg(long)]
+    pub force: bool,
 }
 
 #[derive(Args)]

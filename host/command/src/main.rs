@@ -34,6 +34,11 @@ fn main() -> ExitCode {
         Verb::Render(arguments) => verbs::render(&arguments),
         #[cfg(feature = "viewer")]
         Verb::View(arguments) => verbs::view(&arguments),
+        #[cfg(not(feature = "viewer"))]
+        Verb::View(_) => Err(rigel::Error::request(
+            "this rigel was built without its feature `viewer`, which `rigel view` needs",
+            "build it with `cargo install --path host/command --features viewer`",
+        )),
         Verb::Export(arguments) => verbs::export(&arguments),
         Verb::Info(arguments) => verbs::info(&arguments),
         Verb::Evaluate(arguments) => verbs::evaluate(&arguments),

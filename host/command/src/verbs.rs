@@ -40,9 +40,10 @@ pub use update::update;
 #[cfg(feature = "viewer")]
 pub use view::view;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use rigel::info::Kind;
+use rigel::info::{Info, Kind};
+use rigel::parameter_map::ParameterMap;
 use rigel::session::Session;
 use rigel::{Error, Result};
 
@@ -85,6 +86,29 @@ fn require_place(path: &Path, force: bool) -> Result<()> {
     tried.map_err(Error::io("write", path))
 }
 
+/// The same for results in a folder, which is made where it does not exist; it goes again, for the work may still fail.
+fn require_places(folder: &Path, names: impl IntoIterator<Item = String>, force: bool) -> Result<()> {
+    let _new = NewFolders::below(folder);
+    std::fs::create_dir_all(folder).map_err(Error::io("create", folder))?;
+    names.into_iter().try_for_each(|name| require_place(&folder.join(name), force))
+}
+
+/// The folders on the way to a result that were not there before: those that are empty at the end are removed.
+struct NewFolders(Vec<PathBuf>);
+
+impl NewFolders {
+    fn below(folder: &Path) -> Self {
+        Self(folder.ancestors().take_while(|folder| !folder.exists()).map(Path::to_path_buf).collect())
+    }
+}
+
+impl Drop for NewFolders {
+    fn drop(&mut self) {
+        // What is not empty stays: that is an error here, and nothing to tell.
+        self.0.iter().for_each(|folder| drop(std::fs::remove_dir(folder)));
+    }
+}
+
 /// The same for a result that can be made again: it replaces an earlier one without asking, but no file of another kind.
 fn require_place_of(path: &Path, kind: Kind) -> Result<()> {
     require_place(path, true)?;
@@ -104,6 +128,18 @@ fn require_extension(path: &Path, extension: &str) -> Result<()> {
             format!("name a .{extension} file"),
         )),
     }
+}
+
+/// Reads a parameter map; of a file or folder of another kind it says what that is.
+fn read_map(path: &Path) -> Result<ParameterMap> {
+    ParameterMap::read(path).map_err(|error| match rigel::info::info(path) {
+        Ok(Info { kind, title, .. }) if kind != Kind::ParameterMap => Error::input(
+            path,
+            format!("is no parameter map but {title}"),
+            "give a parameter map as `rigel fit` writes it",
+        ),
+        _ => error,
+    })
 }
 
 fn session_views(session: &Session, wanted: &[String]) -> Result<Vec<usize>> {

@@ -90,7 +90,6 @@ impl Cube {
     /// # Errors
     /// [`Error::Io`] where it cannot be written.
     pub fn write(&self, folder: &Path) -> Result<()> {
-        std::fs::create_dir_all(folder).map_err(Error::io("create", folder))?;
         let levels = tone_mapped(&self.radiance.concat());
         let mut pictures = vec![];
         for (face, levels) in levels.chunks_exact(levels.len() / 6).enumerate() {
@@ -104,6 +103,7 @@ impl Cube {
                 })?;
             pictures.push((name, png.into_inner()));
         }
+        std::fs::create_dir_all(folder).map_err(Error::io("create", folder))?;
         for (face, name) in Self::NAMES.iter().enumerate() {
             let comments = format!(
                 "The face {name} of a cube map as OpenGL, Vulkan and WebGPU lay it out, y up. flags: 1 a lower bound (saturated), 2 never \

@@ -21,7 +21,7 @@ use crate::{Error, Result};
 const SIDE: u32 = 384;
 
 /// The content of a PNG file, at most 384 pixels wide and high: a session's first view, a map from the front, what observations
-/// are on average, radiance exposed with half grey for its median.
+/// are on average, radiance exposed with half grey for the median of what was measured.
 ///
 /// # Errors
 /// Those of [`info()`]; [`Error::Input`] for a file that shows nothing, such as a table.
@@ -29,15 +29,14 @@ pub fn thumbnail(path: &Path) -> Result<Vec<u8>> {
     let (width, height, radiance) = match info(path)?.kind {
         Kind::Session => return of_session(path),
         Kind::ParameterMap => front(&ParameterMap::read(path)?)?,
-        Kind::Radiance => {
-            let image = RadianceImage::read_exr(path)?;
-            (image.width, image.height, image.radiance)
-        }
+        Kind::Radiance => return of_view(&RadianceImage::read_exr(path)?),
         Kind::Environment => {
             let map = EnvironmentMap::read(path)?;
-            (map.size.width() as u32, map.size.height() as u32, map.radiance)
+            let (width, height) = (map.size.width() as u32, map.size.height() as u32);
+            return exposed(width, height, &map.radiance, |i| map.flags[i] & EnvironmentMap::UNSEEN == 0);
         }
-        Kind::Picture => {
+        // Of exported observations the mean.
+        Kind::Picture | Kind::Exchange if path.is_file() => {
             let Picture { width, height, levels, .. } = Picture::read(path)?;
             let number = |bits: u16| half::f16::from_bits(bits).to_f32();
             (width, height, levels.into_iter().map(|pixel| pixel.map(number)).collect())
@@ -45,12 +44,19 @@ pub fn thumbnail(path: &Path) -> Result<Vec<u8>> {
         Kind::Observations => average(&ObservationMap::open(path)?)?,
         _ => return Err(Error::input(path, "shows nothing that could be a picture", "leave --png out")),
     };
-    exposed(width, height, &radiance)
+    exposed(width, height, &radiance, |_| true)
 }
 
-fn exposed(width: u32, height: u32, radiance: &[[f32; 3]]) -> Result<Vec<u8>> {
-    let seen: Vec<f32> =
-        radiance.as_flattened().iter().copied().filter(|l| l.is_finite() && *l > 0.0).collect();
+/// Half grey is the median of what `was_measured`.
+fn exposed(
+    width: u32,
+    height: u32,
+    radiance: &[[f32; 3]],
+    was_measured: impl Fn(usize) -> bool,
+) -> Result<Vec<u8>> {
+    let measured =
+        radiance.iter().enumerate().filter(|(i, _)| was_measured(*i)).flat_map(|(_, pixel)| *pixel);
+    let seen: Vec<f32> = measured.filter(|l| l.is_finite() && *l > 0.0).collect();
     let gamma = if seen.is_empty() { 1.0 } else { gamma_for_median(&seen)? };
     let level = |l: f32| (255.0 * expose(if l.is_nan() { 0.0 } else { l }, gamma)).round() as u8;
     smaller(width, height, radiance.iter().flat_map(|pixel| pixel.map(level)).collect())
@@ -69,13 +75,16 @@ fn smaller(width: u32, height: u32, levels: Vec<u8>) -> Result<Vec<u8>> {
     png(small.width(), small.height(), small.as_raw())
 }
 
+fn of_view(image: &RadianceImage) -> Result<Vec<u8>> {
+    exposed(image.width, image.height, &image.radiance, |i| image.mask[i] == 0)
+}
+
 fn of_session(path: &Path) -> Result<Vec<u8>> {
     let folder = if path.is_dir() { path } else { path.parent().unwrap_or(Path::new(".")) };
     let session = Session::open(folder)?;
     let views = session.manifest.views.len();
     if let Some(view) = (0..views).find(|&view| session.radiance_path(view).exists()) {
-        let image = RadianceImage::read_exr(&session.radiance_path(view))?;
-        return exposed(image.width, image.height, &image.radiance);
+        return of_view(&RadianceImage::read_exr(&session.radiance_path(view))?);
     }
     // The photograph in the middle of the bracket is mostly the one that shows most.
     let photographs =

@@ -34,6 +34,7 @@ const PHOTOMETRY: &str = "rigelPhotometry";
 const ZENITH: &str = "rigelSigmaZenith";
 const UNIT: &str = "the radiance of the session's pictures; metres, of a COLMAP model its own unit of length";
 const MAKE_AGAIN: &str = "fit the observation map again with `rigel fit`";
+const GIVE: &str = "give a parameter map as `rigel fit` writes it";
 
 impl ParameterMap {
     /// Writes the map as OpenEXR: a channel for each of [`Model::channel_names`], without loss beyond the samples'
@@ -175,7 +176,7 @@ impl ParameterMap {
             exr::error::Error::Io(source) if source.kind() != std::io::ErrorKind::UnexpectedEof => {
                 Error::io("read", path)(source)
             }
-            other => Error::input(path, format!("is no complete OpenEXR file ({other})"), MAKE_AGAIN),
+            other => Error::input(path, format!("is no complete OpenEXR file ({other})"), GIVE),
         })?;
         let layer = &image.layer_data;
         let attribute = |name: &'static str| {
@@ -184,13 +185,8 @@ impl ParameterMap {
                 .other
                 .get(&Text::from(name))
                 .or(image.attributes.other.get(&Text::from(name)));
-            let missing = || {
-                Error::input(
-                    path,
-                    format!("is no parameter map: its attribute {name} is missing"),
-                    MAKE_AGAIN,
-                )
-            };
+            let missing =
+                || Error::input(path, format!("is no parameter map: its attribute {name} is missing"), GIVE);
             found.ok_or_else(missing)
         };
         let positive = |name: &'static str| match attribute(name)? {

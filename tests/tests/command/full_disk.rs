@@ -46,8 +46,8 @@ const CASES: &[Case] = &[
         "phong.exr",
     ),
     (nothing, &["fit", "session/observations.rigel", "--model", "phong", "--out", "new.exr"], "new.exr"),
-    (pictures, &["render", "phong.exr", "--size", "80x60", "--out", "picture.png"], "picture.png"),
-    (pictures, &["render", "phong.exr", "--size", "80x60", "--out", "picture.exr"], "picture.exr"),
+    (pictures, &["render", "phong.exr", "--size", "80x60", "--out", "picture.png", "--force"], "picture.png"),
+    (pictures, &["render", "phong.exr", "--size", "80x60", "--out", "picture.exr", "--force"], "picture.exr"),
     (nothing, &EVALUATE, "phong-errors"),
     (evaluated, &EVALUATE, "phong-errors"),
 ];

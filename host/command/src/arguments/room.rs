@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 use glam::DVec3;
 use rigel::geometry::Texels;
-use rigel::units::{parse_part, parse_quaternion, parse_texels};
+use rigel::units::{parse_part, parse_pixels, parse_quaternion};
 
 /// What is known of photographs taken on the spot.
 #[derive(Args)]
@@ -49,7 +49,7 @@ pub struct Mosaic {
     #[arg(long, default_value = "map.exr")]
     pub out: PathBuf,
     /// Columns and rows, twice as wide as high
-    #[arg(long, default_value = "4096x2048", value_parser = parse_texels)]
+    #[arg(long, default_value = "4096x2048", value_parser = parse_pixels)]
     pub size: Texels,
     #[command(flatten)]
     pub photographs: Photographs,

@@ -6,7 +6,7 @@ use clap::{ArgGroup, Args};
 use rigel::geometry::Texels;
 #[cfg(feature = "viewer")]
 use rigel::units::parse_texel;
-use rigel::units::{parse_degrees, parse_length_m, parse_texels};
+use rigel::units::{parse_degrees, parse_length_m, parse_pixels};
 
 /// Where the camera is.
 #[derive(Args)]
@@ -27,7 +27,7 @@ pub struct Camera {
     #[arg(long, value_parser = parse_length_m)]
     pub distance: Option<f64>,
     /// Columns and rows of pixels; not with --camera, which has its own
-    #[arg(long, default_value = "800x600", value_parser = parse_texels, conflicts_with = "camera")]
+    #[arg(long, default_value = "800x600", value_parser = parse_pixels, conflicts_with = "camera")]
     pub size: Texels,
     /// Gamma of the exposure function y = 1 - exp(-gamma x) [default: half grey for the median]
     #[arg(long, value_parser = super::parse_gamma)]

@@ -7,11 +7,13 @@ use rigel_atlas::Peers;
 use crate::arguments::Chart;
 use crate::progress::Bar;
 use crate::say::say;
+use crate::verbs::NewFolders;
 
 /// `rigel chart`.
 pub fn chart(arguments: &Chart) -> Result<()> {
     let peers = arguments.peers.as_deref().map_or_else(|| Ok(Peers::default()), Peers::read)?;
     let out = &arguments.out;
+    let _new = NewFolders::below(out);
     std::fs::create_dir_all(out).map_err(Error::io("create", out))?;
     let mut report = Report::new("Rigel: speed, accuracy, and where it breaks");
     report.text(

@@ -4,7 +4,6 @@ use std::path::Path;
 
 use rigel::file::write_bytes;
 use rigel::observation::ObservationMap;
-use rigel::parameter_map::ParameterMap;
 use rigel::splats::splats;
 use rigel::web::{Exhibit, Quantised, page};
 use rigel::{Error, Result};
@@ -12,7 +11,7 @@ use rigel::{Error, Result};
 use crate::arguments::Export;
 use crate::progress::Bar;
 use crate::say::{count_of, say};
-use crate::verbs::{require_extension, require_place};
+use crate::verbs::{read_map, require_extension, require_place};
 
 /// `rigel export`.
 pub fn export(arguments: &Export) -> Result<()> {
@@ -67,7 +66,7 @@ fn write_page(arguments: &Export, out: &Path) -> Result<()> {
     require_extension(out, "html")?;
     require_place(out, arguments.force)?;
     let exhibit = |path: &std::path::PathBuf| {
-        let map = ParameterMap::read(path)?;
+        let map = read_map(path)?;
         Ok(Exhibit { name: name(path), facts: map.facts(), map })
     };
     let exhibits: Vec<Exhibit> = arguments.maps.iter().map(exhibit).collect::<Result<_>>()?;
@@ -85,7 +84,7 @@ fn write_splats(arguments: &Export, out: &Path) -> Result<()> {
     let path = only(arguments, "file of splats")?;
     require_extension(out, "ply")?;
     require_place(out, arguments.force)?;
-    let map = ParameterMap::read(path)?;
+    let map = read_map(path)?;
     let gamma = arguments.gamma.map_or_else(|| Quantised::gamma_of(&map), Ok)?;
     let splats = splats(&map, gamma, &Bar::new("reducing"))?;
     write_bytes(out, &splats.ply)?;

@@ -21,7 +21,9 @@ use rigel::{Error, Result};
 use crate::arguments::{Evaluate, Fit, Render};
 use crate::progress::Bar;
 use crate::say::say;
-use crate::verbs::{require_extension, require_place, require_place_of, session_views, views_by_name};
+use crate::verbs::{
+    read_map, require_extension, require_place, require_place_of, session_views, views_by_name,
+};
 
 /// `rigel fit`.
 pub fn fit(arguments: &Fit) -> Result<()> {
@@ -207,8 +209,8 @@ pub fn render(arguments: &Render) -> Result<()> {
             "name a .png or .exr file",
         ));
     }
-    require_place(&arguments.out, true)?;
-    let map = ParameterMap::read(&arguments.map)?;
+    require_place(&arguments.out, arguments.force)?;
+    let map = read_map(&arguments.map)?;
     let (lens, pose) = arguments.camera.place(&map.surface)?;
     let lowest_rad = map.diagnostics.as_ref().and_then(|diagnostics| diagnostics.zenith_rad);
     let lowest_z = lowest_rad.map_or(0.0, |zenith_rad| (zenith_rad + BEYOND_RAD).cos() as f32);
@@ -284,7 +286,7 @@ pub fn evaluate(arguments: &Evaluate) -> Result<()> {
         return Err(Error::input(&out, "is a file", "name a folder for the errors"));
     }
     require_place(&if out.is_dir() { out.join("errors.csv") } else { out.clone() }, true)?;
-    let map = ParameterMap::read(&arguments.map)?;
+    let map = read_map(&arguments.map)?;
     let mut seen = None;
     let references = match (&arguments.references, &arguments.session) {
         (Some(list), _) => read_references(list, arguments.pixel_centre)?,

@@ -15,10 +15,11 @@ pub fn info(arguments: &Info) -> Result<()> {
         require_place(out, arguments.force)?;
     }
     let info = look(&arguments.file)?;
+    let picture = arguments.png.as_ref().map(|_| thumbnail(&arguments.file)).transpose()?;
     say!("{}: {}", arguments.file.display(), info.title);
     info.facts.iter().for_each(|fact| say!("  {fact}"));
-    if let Some(out) = &arguments.png {
-        write_bytes(out, &thumbnail(&arguments.file)?)?;
+    if let (Some(out), Some(picture)) = (&arguments.png, picture) {
+        write_bytes(out, &picture)?;
         say!("wrote {}", out.display());
     }
     Ok(())

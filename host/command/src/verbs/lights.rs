@@ -35,10 +35,11 @@ pub fn lights(arguments: &Lights) -> Result<()> {
     }
     if found.error > arguments.tolerance {
         say!(
-            "warning: {} leave the irradiance {:.1} % off, more than the {:.1} % asked for; allow more (--most), or try --method median-cut",
+            "warning: {} leave the irradiance {:.1} % off, more than the {:.1} % asked for; allow more (--most){}",
             count_of(found.lights.len(), "light"),
             100.0 * found.error,
-            100.0 * arguments.tolerance
+            100.0 * arguments.tolerance,
+            if let LightMethod::Joined = arguments.method { ", or try --method median-cut" } else { "" }
         );
     }
     file::write_bytes(&out, found.csv().as_bytes())?;

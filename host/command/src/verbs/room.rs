@@ -10,7 +10,7 @@ use rigel::{Error, Result};
 use crate::arguments::Room;
 use crate::progress::Bar;
 use crate::say::{count_of, say};
-use crate::verbs::require_place;
+use crate::verbs::{NewFolders, require_places};
 
 /// `rigel room`.
 pub fn room(arguments: &Room) -> Result<()> {
@@ -22,13 +22,8 @@ pub fn room(arguments: &Room) -> Result<()> {
         ));
     }
     let out = &arguments.out;
-    std::fs::create_dir_all(out).map_err(Error::io("create", out))?;
-    for name in FILES {
-        require_place(&out.join(name), arguments.force)?;
-    }
-    if arguments.look.is_some() {
-        require_place(&out.join("look.exr"), arguments.force)?;
-    }
+    let names = FILES.into_iter().chain(arguments.look.map(|_| "look.exr"));
+    require_places(out, names.map(str::to_owned), arguments.force)?;
     for own in arguments.map.iter().chain(&arguments.pairs).chain([&arguments.model]) {
         let place = out.join(own.file_name().unwrap_or_default());
         if FILES.iter().any(|name| place.ends_with(name)) && is_same(&place, own) {
@@ -59,6 +54,7 @@ pub fn room(arguments: &Room) -> Result<()> {
     if arguments.fill {
         lit.fill();
     }
+    let _new = NewFolders::below(out);
     lit.write(out)?;
     let patches = lit.patches();
     for patch in &patches {

@@ -19,7 +19,7 @@ use rigel_view::{
 use crate::arguments::{ShadingChoice, View};
 use crate::progress::Bar;
 use crate::say::say;
-use crate::verbs::{require_extension, require_place};
+use crate::verbs::{read_map, require_extension, require_place};
 
 /// Columns of a contact sheet.
 const COLUMNS: usize = 10;
@@ -30,8 +30,7 @@ pub fn view(arguments: &View) -> Result<()> {
         require_extension(out, "png")?;
         require_place(out, arguments.force)?;
     }
-    let maps: Vec<ParameterMap> =
-        arguments.maps.iter().map(|path| ParameterMap::read(path)).collect::<Result<_>>()?;
+    let maps: Vec<ParameterMap> = arguments.maps.iter().map(|path| read_map(path)).collect::<Result<_>>()?;
     if let Some((column, row)) = arguments.texel {
         let texels = maps[0].texels;
         if column >= texels.columns || row >= texels.rows {

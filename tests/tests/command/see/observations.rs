@@ -62,6 +62,11 @@ fn python_reads_the_observations_as_they_are() {
         assert!(same && values.len() == 4 * want.len(), "{kind}");
         let told = succeed(folder.path(), &["info", &out]);
         assert!(told.contains("observations: radiance of every texel") && told.contains("7 views"), "{told}");
+        if kind == "exr" {
+            succeed(folder.path(), &["info", &out, "--png", "mean.png"]);
+            let size = image::image_dimensions(folder.path().join("mean.png")).unwrap();
+            assert_eq!(size, (header.texels.columns, header.texels.rows));
+        }
         // Nothing is replaced unasked.
         let before = snapshot(folder.path());
         let again = rigel(folder.path(), &["export", source, &format!("--{kind}"), &out]).output().unwrap();
