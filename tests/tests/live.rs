@@ -8,7 +8,12 @@ use std::path::Path;
 use std::time::{Duration, UNIX_EPOCH};
 
 use glam::DQuat;
-use rigel::environment::{Arrival, Live, MergeOptions, Options, Place, Shots, Tracking, Wanted, mosaic};
+use image::ImageEncoder;
+use image::codecs::png::PngEncoder;
+use rigel::camera::exif;
+use rigel::environment::{
+    Arrival, Live, MergeOptions, Options, Place, Shots, Tracking, Unit, Wanted, mosaic,
+};
 use rigel::geometry::{LatLong, Lens, world_from_camera};
 use rigel::progress::Silent;
 use rigel_simulated::tour::{Tour, apart};
@@ -207,6 +212,98 @@ fn what_is_half_written_waits_and_what_is_no_photograph_is_named() {
         arrivals.len() == 1 && arrivals[0].place.clone().unwrap_err().contains("torn.png"),
         "{arrivals:?}"
     );
+}
+
+#[test]
+fn a_photograph_that_was_refused_is_read_again_once_its_size_or_its_time_has_changed() {
+    let tour = Tour { photographs: 3, laps: 0.05, ..tour() };
+    let (all, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (from, to) = (all.path(), folder.path());
+    tour.write(from).unwrap();
+    let mut live = Live::open(to, &Tracking::default(), Wanted::default(), |_| Ok(options(&tour))).unwrap();
+    put(from, to, 0, &tour);
+    assert_eq!(placed(&come(&mut live)).len(), 1);
+    let bytes = [1, 2].map(|i| fs::read(from.join(photograph(i))).unwrap());
+    // The one grows, the other has its size from the start.
+    fs::write(to.join(photograph(1)), &bytes[0][..bytes[0].len() / 2]).unwrap();
+    fs::write(to.join(photograph(2)), vec![0; bytes[1].len()]).unwrap();
+    come(&mut live);
+    std::thread::sleep(Duration::from_millis(3100));
+    assert!(come(&mut live).len() == 2 && live.is_settled() && live.count() == 1);
+    assert!(come(&mut live).is_empty(), "once is enough");
+    (1..3).for_each(|i| fs::write(to.join(photograph(i)), &bytes[i - 1]).unwrap());
+    let arrivals = come(&mut live);
+    assert_eq!((placed(&arrivals).len(), live.count()), (2, 3), "{arrivals:?}");
+    let (shots, notes) = live.finish().unwrap();
+    assert!(shots.shots.len() == 3 && notes.is_empty(), "{notes:?}");
+}
+
+#[test]
+fn the_next_session_places_all_photographs_anew_and_replaces_its_own_table_only() {
+    let tour = tour();
+    for is_timed in [false, true] {
+        let (all, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let (from, to) = (all.path(), folder.path());
+        tour.write(from).unwrap();
+        if is_timed {
+            fs::write(to.join("tracker.jsonl"), records_until(from, 1e9)).unwrap();
+        }
+        let session = || {
+            let open = Live::open(to, &Tracking::default(), Wanted::default(), |_| Ok(options(&tour)));
+            let mut live = open.unwrap();
+            come(&mut live);
+            let (shots, notes) = live.finish().unwrap();
+            assert_eq!(Shots::read(to).unwrap().shots, shots.shots);
+            (shots.shots.len(), notes)
+        };
+        (0..3).for_each(|i| put(from, to, i, &tour));
+        assert_eq!(session(), (3, vec![]));
+        (3..5).for_each(|i| put(from, to, i, &tour));
+        assert_eq!(session(), (5, vec![]));
+        // Whoever takes the mark away, or adds a line, has made it theirs.
+        let table = to.join("frames.csv");
+        let own = fs::read_to_string(&table).unwrap();
+        let theirs = own.replace(",by\n", "\n").replace(",rigel\n", "\n");
+        let last = own.lines().last().unwrap().replace("004.png", "005.png").replace(",rigel", ",me");
+        put(from, to, 5, &tour);
+        for (text, count) in [(theirs, 5), (format!("{own}{last}\n"), 6)] {
+            assert_ne!(text, own);
+            fs::write(&table, &text).unwrap();
+            assert_eq!((session().0, fs::read_to_string(&table).unwrap()), (count, text));
+        }
+    }
+}
+
+#[test]
+fn exposures_that_all_photographs_state_stand_in_the_table() {
+    let tour = Tour { photographs: 4, laps: 0.15, ..tour() };
+    let (all, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (from, to) = (all.path(), folder.path());
+    tour.write(from).unwrap();
+    let session = || {
+        let mut live =
+            Live::open(to, &Tracking::default(), Wanted::default(), |_| Ok(options(&tour))).unwrap();
+        come(&mut live);
+        live.finish().unwrap().0
+    };
+    let exposure_s = |i: usize| 0.01 * (i + 1) as f64;
+    for i in 0..3 {
+        let picture = image::open(from.join(photograph(i))).unwrap().to_rgb8();
+        let mut encoder = PngEncoder::new(fs::File::create(to.join(photograph(i))).unwrap());
+        encoder.set_exif_metadata(exif::block(exposure_s(i), None)).unwrap();
+        let (width, height) = picture.dimensions();
+        encoder.write_image(&picture, width, height, image::ExtendedColorType::Rgb8).unwrap();
+    }
+    let shots = session();
+    assert_eq!((shots.shots.len(), shots.unit), (3, Unit::Saturation { iso: false, f_number: false }));
+    for shot in &shots.shots {
+        let i: usize = shot.name()[..3].parse().unwrap();
+        assert!((shot.exposure.unwrap() - exposure_s(i)).abs() < 1e-9, "{}", shot.name());
+    }
+    // What one does not state would be guessed.
+    put(from, to, 3, &tour);
+    let shots = session();
+    assert_eq!((shots.shots.len(), shots.unit), (4, Unit::MeanPhotograph));
 }
 
 #[test]

@@ -17,6 +17,10 @@ const SAME_ZOOM: f64 = 1e-3;
 pub struct Exif {
     /// The exposure time as it stands there, seconds: whoever uses it checks that it is a positive number.
     pub exposure_s: Option<f64>,
+    /// The sensitivity (ISO 12232).
+    pub iso: Option<f64>,
+    /// The f-number.
+    pub f_number: Option<f64>,
     /// When the exposure began.
     pub taken: Option<CameraTime>,
     /// The focal length, millimetres.
@@ -47,12 +51,16 @@ pub fn read(path: &Path) -> Result<Exif> {
     };
     let exposure_s = number(Tag::ExposureTime);
     // A lens that does not tell says 0, or 0/0.
-    let focal_length_mm = number(Tag::FocalLength).filter(|length| length.is_finite() && *length > 0.0);
+    let told = |number: &f64| number.is_finite() && *number > 0.0;
+    let f_number = number(Tag::FNumber).filter(told);
+    let focal_length_mm = number(Tag::FocalLength).filter(told);
+    let iso = block.get_field(Tag::PhotographicSensitivity, In::PRIMARY);
+    let iso = iso.and_then(|field| field.value.get_uint(0)).map(f64::from).filter(told);
     let taken = block.get_field(Tag::DateTimeOriginal, In::PRIMARY).and_then(text).and_then(|date| {
         let fraction = block.get_field(Tag::SubSecTimeOriginal, In::PRIMARY).and_then(text);
         camera_time(date, fraction.unwrap_or_default())
     });
-    Ok(Exif { exposure_s, taken, focal_length_mm })
+    Ok(Exif { exposure_s, iso, f_number, taken, focal_length_mm })
 }
 
 /// The first of a lens's photographs that tells a focal length: a zoom that was touched makes every lens and vignetting wrong,
@@ -167,18 +175,22 @@ mod tests {
     }
 
     #[test]
-    fn the_focal_length_is_read_where_the_lens_tells_it() {
+    fn the_focal_length_the_f_number_and_the_sensitivity_are_read_where_they_are_told() {
         use exif::experimental::Writer;
         for (length, expected) in [((500, 10), Some(50.0)), ((0, 1), None), ((0, 0), None)] {
             let value = Value::Rational(vec![Rational { num: length.0, denom: length.1 }]);
-            let field = Field { tag: Tag::FocalLength, ifd_num: In::PRIMARY, value };
+            let field = |tag| Field { tag, ifd_num: In::PRIMARY, value: value.clone() };
+            let iso = Value::Short(vec![length.0 as u16 / 10]);
+            let iso = Field { tag: Tag::PhotographicSensitivity, ifd_num: In::PRIMARY, value: iso };
+            let fields = [field(Tag::FocalLength), field(Tag::FNumber), iso];
             let mut writer = Writer::new();
-            writer.push_field(&field);
+            fields.iter().for_each(|field| writer.push_field(field));
             let mut block = std::io::Cursor::new(vec![]);
             writer.write(&mut block, true).unwrap();
             let file = tempfile::NamedTempFile::new().unwrap();
             std::fs::write(file.path(), block.into_inner()).unwrap();
-            assert_eq!(read(file.path()).unwrap().focal_length_mm, expected);
+            let told = read(file.path()).unwrap();
+            assert_eq!([told.focal_length_mm, told.f_number, told.iso], [expected; 3]);
         }
     }
 

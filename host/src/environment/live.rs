@@ -1,7 +1,8 @@
 //! A folder that fills with photographs while somebody turns: where each was pointed, and what the sphere shows by now.
 //!
 //! The folder's table says how the camera was turned, or when; without a table the tracker's records at the time when a photograph was written do, and
-//! without a tracker its corners, beside those of earlier photographs. What is needed to make the map afterwards is written as `frames.csv`.
+//! without a tracker its corners, beside those of earlier photographs. What is needed to make the map afterwards is written as `frames.csv`, which the
+//! next session in the folder replaces.
 
 mod files;
 mod table;
@@ -23,7 +24,7 @@ use crate::picture::Picture;
 use crate::tracker::{Causal, Tail};
 use crate::{Error, Result};
 use files::{Line, Sizes, by_time};
-use table::{Ended, Row, begun, ended, faults, name, table_in, words, write};
+use table::{Ended, Row, begun, ended, faults, name, notes, table_in, words, write};
 use views::{View, Views, smaller};
 
 /// The tracker's jitter is forgotten in so many seconds.
@@ -71,8 +72,9 @@ pub struct Live<'a> {
     tracker: Option<(Tail, Causal)>,
     said: Option<DQuat>,
     sizes: Sizes,
-    /// Photographs that were read, or never will be.
+    /// Photographs that were read, or refused as they are.
     known: BTreeSet<PathBuf>,
+    refused: BTreeSet<PathBuf>,
     waiting: Vec<Waiting>,
     /// Why photographs have no place, and what is wrong with the table.
     left: BTreeMap<PathBuf, String>,
@@ -136,6 +138,7 @@ impl<'a> Live<'a> {
             said: None,
             sizes: Sizes::default(),
             known: BTreeSet::new(),
+            refused: BTreeSet::new(),
             waiting: vec![],
             left: BTreeMap::new(),
             is_settled: false,
@@ -205,6 +208,10 @@ impl<'a> Live<'a> {
             }
             self.is_settled &= self.known.contains(&path);
         }
+        // One that was refused is read again once it has changed.
+        let refused = self.refused.len();
+        self.refused.retain(|path| self.sizes.is_whole(path) || !self.known.remove(path));
+        self.is_settled &= self.refused.len() == refused;
         // One that has its place now may tell that of others.
         while self.place(&mut told) {
             if started.elapsed() > ENOUGH {
@@ -274,12 +281,7 @@ impl<'a> Live<'a> {
             };
             self.left.entry(path).or_insert(why);
         }
-        let mut notes: BTreeMap<String, Vec<String>> = BTreeMap::new();
-        for (path, why) in self.left {
-            notes.entry(words(&path, &why)).or_default().push(name(&path));
-        }
-        let notes = notes.into_iter().map(|(why, names)| format!("{}: {why}", names.join(", "))).collect();
-        Ok((Shots::of((used, lens), &table, &self.tracking)?, notes))
+        Ok((Shots::of((used, lens), &table, &self.tracking)?, notes(self.left)))
     }
 
     /// Somebody else's table may come later; then it counts from the beginning.
@@ -293,6 +295,7 @@ impl<'a> Live<'a> {
         told.push(Arrival { name: name(table), place: Err(why.into()) });
         (self.first, self.coverage, self.views) = (None, None, Views::default());
         self.known.clear();
+        self.refused.clear();
         self.waiting.clear();
         self.left.clear();
         self.placed.clear();
@@ -353,12 +356,7 @@ impl<'a> Live<'a> {
             let path = self.folder.join(&frame.file);
             match fault {
                 Some(fault) => self.leave(path, fault, told),
-                None => lines.push(Line {
-                    path,
-                    turn: frame.orientation().filter(|_| !is_tracked),
-                    sigma_rad: frame.sigma_deg.map(f64::to_radians),
-                    time_s: frame.time_s.filter(|time_s| is_tracked && time_s.is_finite()),
-                }),
+                None => lines.push(Line::of(path, &frame, is_tracked)),
             }
         }
         Ok(Some(lines))
@@ -382,10 +380,11 @@ impl<'a> Live<'a> {
         }
     }
 
-    /// Leaves a photograph out for ever.
+    /// Leaves a photograph out as long as its file stays as it is.
     fn refuse(&mut self, path: PathBuf, why: String, told: &mut Vec<Arrival>) {
         self.left.remove(&path);
         self.known.insert(path.clone());
+        self.refused.insert(path.clone());
         self.leave(path, why, told);
     }
 

@@ -128,6 +128,8 @@ fn what_cannot_be_followed_is_refused() {
         assert_refused(&arguments.join(" "), &output, names);
     }
     std::fs::create_dir(folder.path().join("empty")).unwrap();
+    let lens = rigel(folder.path(), &["mosaic", "empty", "--live"]).output().unwrap();
+    assert_refused("no lens", &lens, &["lens", "--lens", "--fov"]);
     let delay = ["mosaic", "empty", "--live", "--fov", "60", "--delay", "0.08"];
     let delay = rigel(folder.path(), &delay).output().unwrap();
     assert_refused("a delay of no tracker", &delay, &["empty", "--delay", "--rig"]);

@@ -60,7 +60,7 @@ pub struct Mosaic {
     #[arg(long)]
     pub png: bool,
     /// Follow the folder while it fills: tell after each photograph what was seen and where to point next, and refresh MAP-coverage.png; begin the
-    /// map when everything wanted was seen, or at Ctrl-C
+    /// map when everything wanted was seen, or at Ctrl-C. Azimuth 0 is the map's left edge, 90 a quarter to the right, 180 its centre
     #[arg(long)]
     pub live: bool,
     /// With --live: record the tracker at this rig (a port, or simulated) in the folder's tracker.jsonl meanwhile

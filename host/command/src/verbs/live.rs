@@ -58,6 +58,10 @@ pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Re
     };
     // Before a rig is bothered.
     wanted.require()?;
+    let photographs = &arguments.photographs;
+    if photographs.lens.is_none() && photographs.fov_deg.is_none() && !folder.join("frames.json").exists() {
+        return Err(Error::request("nothing tells the lens", "give --lens FILE or --fov DEGREES"));
+    }
     let mut rig = arguments.rig.as_deref().map(greet_named).transpose()?;
     let mut log = None;
     if let Some((rig, _)) = &mut rig {
@@ -66,7 +70,7 @@ pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Re
         rig.track(Receivers { stations, format: Format::Binary, output: Output::Quaternion })?;
         log = Some(TrackerLog::start(records, folder)?);
     }
-    let options = |first: &Path| arguments.photographs.options(first, size);
+    let options = |first: &Path| photographs.options(first, size);
     let mut live = Live::open(folder, tracking, wanted, options)?;
     say!("orientations: {}", live.source());
     if let Some(filter) = live.filter() {

@@ -3,34 +3,35 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant, UNIX_EPOCH};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use glam::DQuat;
 
 use crate::Result;
 use crate::camera::folder::list;
+use crate::environment::shots::Frame;
 
 /// A file that cannot be read and has not grown for so long is no photograph, or a table with a fault.
 const BROKEN: Duration = Duration::from_secs(3);
 
-/// Sizes of files when they were last looked at, and since when.
+/// Sizes of files and when they were written, when they were last looked at, and since when.
 #[derive(Default)]
-pub(super) struct Sizes(BTreeMap<PathBuf, (u64, Instant)>);
+pub(super) struct Sizes(BTreeMap<PathBuf, ((u64, Option<SystemTime>), Instant)>);
 
 impl Sizes {
-    /// Whether a file is there and has not grown since it was last looked at.
+    /// Whether a file is there and has not grown, nor been written, since it was last looked at.
     pub fn is_whole(&mut self, path: &Path) -> bool {
-        let Ok(size) = fs::metadata(path).map(|data| data.len()) else { return false };
-        let before = self.0.get(path).map(|(size, _)| *size);
-        if before != Some(size) {
-            self.0.insert(path.into(), (size, Instant::now()));
+        let Ok(now) = fs::metadata(path).map(|data| (data.len(), data.modified().ok())) else { return false };
+        let before = self.0.get(path).map(|(before, _)| *before);
+        if before != Some(now) {
+            self.0.insert(path.into(), (now, Instant::now()));
         }
-        before == Some(size)
+        before == Some(now)
     }
 
     /// Whether a file of at least so many bytes has not grown for long.
     pub fn has_stayed(&self, path: &Path, bytes: u64) -> bool {
-        self.0.get(path).is_some_and(|(size, since)| *size >= bytes && since.elapsed() > BROKEN)
+        self.0.get(path).is_some_and(|((size, _), since)| *size >= bytes && since.elapsed() > BROKEN)
     }
 }
 
@@ -40,6 +41,18 @@ pub(super) struct Line {
     pub turn: Option<DQuat>,
     pub sigma_rad: Option<f64>,
     pub time_s: Option<f64>,
+}
+
+impl Line {
+    /// Of a table, whose turns count, or, with a tracker, its times.
+    pub fn of(path: PathBuf, frame: &Frame, is_tracked: bool) -> Self {
+        Self {
+            path,
+            turn: frame.orientation().filter(|_| !is_tracked),
+            sigma_rad: frame.sigma_deg.map(f64::to_radians),
+            time_s: frame.time_s.filter(|time_s| is_tracked && time_s.is_finite()),
+        }
+    }
 }
 
 /// The photographs of a folder that are not known yet, in the order in which they were written.
