@@ -1,4 +1,4 @@
-//! Frames per second of every kind of model, beside a plain shader that keeps every coefficient in float textures, in one run:
+//! Frames per second (of the median frame) of every kind of model, beside a plain shader that keeps every coefficient in float textures, in one run:
 //! `cargo run --release -p rigel-view --example frames -- [WIDTH HEIGHT [FRAMES]]`.
 
 use std::time::Instant;
@@ -65,36 +65,47 @@ fn main() -> Result<()> {
     // The surface fills the picture's height.
     let lens = Lens::pinhole(width, height, 4.0 * f64::from(height));
     let look = Look { gamma: 1.0, false_colour: false, beside: [0.0; 3] };
-    let rate = |draw: &dyn Fn(&View)| -> Result<f64> {
-        let view = |i: u32| {
-            let pose = Pose::from_rig(0.02 * f64::from(i), 0.3 + 0.01 * f64::from(i), 0.8);
-            View { lens, pose, look, shading: Shading::Automatic, halvings: 0 }
-        };
-        // The first frame compiles.
-        draw(&view(0));
-        graphics.wait()?;
-        let start = Instant::now();
-        for i in 0..frames {
-            draw(&view(i));
-            graphics.wait()?;
-        }
-        Ok(f64::from(frames) / start.elapsed().as_secs_f64())
+    let view = |i: u32, shading| {
+        let pose = Pose::from_rig(0.02 * f64::from(i), 0.3 + 0.01 * f64::from(i), 0.8);
+        View { lens, pose, look, shading, halvings: 0 }
     };
     for name in
         ["phong", "phong2", "phong4", "msh15", "sh16", "msh36", "sh36", "msh66", "sh64", "msh91", "sh100"]
     {
         let map = random(Model::parse(name)?);
-        let plain = |is_single, filter| match Plain::new(&graphics, &map, is_single, filter) {
-            Ok(plain) => rate(&|view| plain.draw(&graphics, view, &target)),
-            // A model that it cannot show, or a device that does not interpolate.
-            Err(_) => Ok(f64::NAN),
-        };
-        let (half, single) = (plain(false, FilterMode::Linear)?, plain(true, FilterMode::Linear)?);
-        let nearest = plain(true, FilterMode::Nearest)?;
+        // A model that it cannot show, or a device that does not interpolate, has no plain shader.
+        let plain = |is_single, filter| Plain::new(&graphics, &map, is_single, filter).ok();
+        let plains = [
+            plain(false, FilterMode::Linear),
+            plain(true, FilterMode::Linear),
+            plain(true, FilterMode::Nearest),
+        ];
         let scene = Scene::new(&graphics, &map, PICTURE)?;
-        let ours = |shading| rate(&|view| scene.draw(&graphics, &View { shading, ..*view }, &target));
-        let (by_pixel, by_texel, automatic) =
-            (ours(Shading::ByPixel)?, ours(Shading::ByTexel)?, ours(Shading::Automatic)?);
+        let draw = |which: usize, i: u32| -> bool {
+            let shadings = [Shading::ByPixel, Shading::ByTexel, Shading::Automatic];
+            match plains.get(which) {
+                Some(Some(plain)) => plain.draw(&graphics, &view(i, Shading::Automatic), &target),
+                Some(None) => return false,
+                None => scene.draw(&graphics, &view(i, shadings[which - plains.len()]), &target),
+            }
+            true
+        };
+        let mut times_s = [const { vec![] }; 6];
+        // In turn, so that a machine that is busy for a while is so for all; the first frame compiles.
+        for i in 0..=frames {
+            for (which, times_s) in times_s.iter_mut().enumerate() {
+                let start = Instant::now();
+                if draw(which, i) {
+                    graphics.wait()?;
+                    times_s.extend((i > 0).then(|| start.elapsed().as_secs_f64()));
+                }
+            }
+        }
+        let rate = |times_s: &mut Vec<f64>| {
+            times_s.sort_by(f64::total_cmp);
+            times_s.get(times_s.len() / 2).map_or(f64::NAN, |median_s| 1.0 / median_s)
+        };
+        let [half, single, nearest, by_pixel, by_texel, automatic] = times_s.each_mut().map(rate);
         println!(
             "{name:>8} {half:>12.1} {single:>13.1} {nearest:>14.1} {by_pixel:>9.1} {by_texel:>9.1} {:>22.2}",
             automatic / half.max(single).max(nearest)
