@@ -74,6 +74,40 @@ fn one_lamp_is_one_light_where_it_is_as_large_and_as_bright_wherever_it_hangs() 
     }
 }
 
+/// Brighter toward one side and above, with a horizon, and nothing that is a lamp.
+fn sky(d: DVec3) -> [f32; 3] {
+    let up = 1.0 / (1.0 + (-12.0 * d.y).exp());
+    let side = 0.6 + 0.3 * d.x + 0.1 * (5.0 * d.z).sin();
+    [0.5, 0.7, 1.0].map(|colour| (0.15 + colour * up * side) as f32)
+}
+
+#[test]
+fn a_smooth_sky_needs_no_light_and_more_that_are_allowed_make_nothing_worse() {
+    let map = map(128, sky);
+    let of = |tolerance: f64, most: usize| lights(&map, JOINED, tolerance, most).unwrap();
+    let enough = of(0.05, MOST);
+    assert!(enough.lights.is_empty() && enough.worst() <= 0.05, "{}", enough.worst());
+    for tolerance in [0.0, 0.01, 0.05] {
+        let mut before = f64::INFINITY;
+        for most in [1, 2, 3, 5, 8, 16, 40] {
+            let found = of(tolerance, most);
+            println!(
+                "{tolerance}, at most {most}: {} lights, open {:.2} %, with walls {:.2} %",
+                found.lights.len(),
+                100.0 * found.open_error,
+                100.0 * found.error
+            );
+            assert!(found.lights.len() <= most && found.worst() <= before);
+            before = found.worst();
+            // With one less than were found it is worse, and worse than asked for.
+            if found.lights.len() > 1 {
+                let fewer = of(tolerance, found.lights.len() - 1);
+                assert!(fewer.worst() > found.worst() && fewer.worst() > tolerance);
+            }
+        }
+    }
+}
+
 /// Lamps of unlike power, a window, and a floor darker than the ceiling.
 fn room(d: DVec3) -> [f32; 3] {
     let lamps = [(10.0, 60.0, 4.0, 80.0), (150.0, 40.0, 3.0, 120.0), (-100.0, 20.0, 2.0, 60.0)];

@@ -233,6 +233,44 @@ fn the_cornell_box_lit_by_a_map_of_itself_returns_that_map_and_its_lamp() {
 }
 
 #[test]
+fn every_light_of_a_box_lies_on_a_wall_and_faces_away_from_it() {
+    let (least, most) = (DVec3::new(-3.0, 0.0, -4.0), DVec3::new(3.0, 2.8, 4.0));
+    let (model, centre) = (cuboid(least, most, true), DVec3::new(0.2, 1.5, -0.4));
+    // One that hangs over the edge between ceiling and wall, one in a corner, one on a wall.
+    let lamps = [
+        (DVec3::new(3.0, 2.8, 1.0), 0.6),
+        (DVec3::new(-3.0, 0.0, -4.0), 0.8),
+        (DVec3::new(1.0, 1.2, 4.0), 0.4),
+    ];
+    let lit = |_: usize, place: DVec3| {
+        [if lamps.iter().any(|(lamp, radius)| lamp.distance(place) < *radius) { 50.0 } else { 0.5 }; 3]
+    };
+    // The three shine on two, three and one walls.
+    let mut maps = vec![(6, map(&model, centre, 192, DQuat::IDENTITY, lit))];
+    if let Some(path) = rigel_tests::data("environment/studio.hdr") {
+        maps.push((1, EnvironmentMap::read(&path).unwrap()));
+    }
+    for (fewest, map) in &maps {
+        let room = texture(model.clone(), &[capture(map, centre)], 256, &Silent).unwrap();
+        let patches = room.patches();
+        assert!(patches.len() >= *fewest, "{}", patches.len());
+        for patch in &patches {
+            println!("{} facing {}: {:.1} %", patch.centre_m, patch.normal, 100.0 * patch.share);
+            // Off the wall that it shines away from.
+            let off = (0..3).map(|i| {
+                let (at, normal) = (patch.centre_m[i], patch.normal[i]);
+                let to_wall = if normal > 0.0 { at - least[i] } else { most[i] - at };
+                if normal.abs() > 0.999 { to_wall.abs() } else { f64::INFINITY }
+            });
+            let off = off.fold(f64::INFINITY, f64::min);
+            assert!(off < 1e-3, "{off} m off: {patch:?}");
+            let within = patch.centre_m.cmpge(least - 1e-3) & patch.centre_m.cmple(most + 1e-3);
+            assert!(within.all());
+        }
+    }
+}
+
+#[test]
 fn a_map_is_registered_by_clicked_corners_one_of_them_wrong() {
     let (model, centre) = (furnished(), DVec3::new(-0.5, 1.4, 0.3));
     let turn = DQuat::from_scaled_axis(DVec3::new(0.1, 2.0, -0.1));

@@ -68,6 +68,11 @@ pub struct Lights {
 }
 
 impl Lights {
+    /// The error that decides: the larger one of the two, mostly that with walls.
+    pub fn worst(&self) -> f64 {
+        self.error.max(self.open_error)
+    }
+
     /// Red, green and blue irradiance on a surface with this unit normal from which nothing is hidden.
     pub fn irradiance(&self, normal: DVec3) -> [f64; 3] {
         self.lights.iter().fold(self.remainder.irradiance(normal), |sum, light| {
@@ -103,7 +108,7 @@ impl Lights {
 }
 
 /// Finds the fewest lights, at most `most`, whose irradiance is off by no more than `tolerance` (relative, root mean square, see
-/// [`Lights::error`]). Where `most` do not suffice, that error is what they leave.
+/// [`Lights::worst`]). Where `most` do not suffice, it is the set of at most so many that leaves least.
 ///
 /// # Errors
 /// [`Error::Request`] for a map without light.
@@ -139,8 +144,8 @@ pub fn lights(map: &EnvironmentMap, method: Method, tolerance: f64, most: usize)
         let mut best: Option<Lights> = None;
         for count in 1..=most {
             let found = made(&blocks.cut(count), None);
-            let is_enough = found.error <= tolerance;
-            if best.as_ref().is_none_or(|best| found.error < best.error) {
+            let is_enough = found.worst() <= tolerance;
+            if best.as_ref().is_none_or(|best| found.worst() < best.worst()) {
                 best = Some(found);
             }
             if is_enough {
@@ -149,15 +154,23 @@ pub fn lights(map: &EnvironmentMap, method: Method, tolerance: f64, most: usize)
         }
         return Ok(best.unwrap_or_else(|| made(&[], None)));
     };
-    let mut sums = blocks.cut(REGIONS);
-    while sums.len() > most.max(SEARCHED) {
-        join(&mut sums);
-    }
-    let mut best = (made(&sums, Some(highest)), sums.clone());
-    while best.1.len() > most || best.0.error <= tolerance {
+    let mut best = (made(&[], Some(highest)), vec![]);
+    // The same road from many to none whatever is allowed. On the way down the error may rise and fall again (one light is one point:
+    // a few of them do more harm to an even sky behind walls than none), so it is walked to its end.
+    let mut sums = if best.0.worst() <= tolerance { vec![] } else { blocks.cut(REGIONS) };
+    let mut found = None;
+    while !sums.is_empty() {
+        if sums.len() <= most {
+            let found = found.take().unwrap_or_else(|| made(&sums, Some(highest)));
+            if found.worst() < best.0.worst() || found.worst() <= tolerance {
+                best = (found, sums.clone());
+            }
+        }
         let mut joined = sums.clone();
-        if !join(&mut joined) {
-            break;
+        join(&mut joined);
+        if sums.len() > SEARCHED {
+            sums = joined;
+            continue;
         }
         // What is wide and dim the remainder may tell as well.
         let mut without = sums;
@@ -169,42 +182,33 @@ pub fn lights(map: &EnvironmentMap, method: Method, tolerance: f64, most: usize)
             rayon::join(|| made(&joined, Some(highest)), || made(&without, Some(highest)));
         // What costs next to nothing is joined: a lamp's own parts are not left to what is smooth.
         let is_nothing = 0.25 * tolerance;
-        let found;
-        (found, sums) = if by_joining.error < by_leaving.error.max(is_nothing) {
-            (by_joining, joined)
-        } else {
-            (by_leaving, without)
+        let (next, left) = match by_joining.worst() < by_leaving.worst().max(is_nothing) {
+            true => (by_joining, joined),
+            false => (by_leaving, without),
         };
-        if best.1.len() <= most && found.error > tolerance {
-            break;
-        }
-        best = (found, sums.clone());
+        (found, sums) = (Some(next), left);
     }
-    if best.0.error <= tolerance {
+    if best.0.worst() <= tolerance {
         let mut smaller = (0..highest).map(|order| made(&best.1, Some(order)));
-        best.0 = smaller.find(|found| found.error <= tolerance).unwrap_or(best.0);
+        best.0 = smaller.find(|found| found.worst() <= tolerance).unwrap_or(best.0);
     }
     Ok(best.0)
 }
 
-/// Joins the two that cost least; `false` where there is nothing left.
-fn join(sums: &mut Vec<Sum>) -> bool {
-    if sums.is_empty() {
-        return false;
-    }
-    if sums.len() == 1 {
+/// Joins the two that cost least; a last one is left to the remainder.
+fn join(sums: &mut Vec<Sum>) {
+    if sums.len() < 2 {
         sums.clear();
-        return true;
+        return;
     }
     let nearest = (0..sums.len() - 1).into_par_iter().map(|i| {
         let costs = (i + 1..sums.len()).map(|k| (sums[i].cost(&sums[k]), i, k));
         costs.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((f64::INFINITY, i, i))
     });
-    let Some((_, i, k)) = nearest.min_by(|a, b| a.0.total_cmp(&b.0)) else { return false };
+    let Some((_, i, k)) = nearest.min_by(|a, b| a.0.total_cmp(&b.0)) else { return };
     let joined = sums[i].plus(sums[k]);
     sums.swap_remove(k);
     sums[i] = joined;
-    true
 }
 
 fn luminance([r, g, b]: [f64; 3]) -> f64 {

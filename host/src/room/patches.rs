@@ -15,13 +15,15 @@ const SHINES: f64 = 10.0;
 const LEAST: f64 = 0.005;
 /// Texels that are no further apart than so many of their sides belong together.
 const REACH: f64 = 2.0;
+/// The cosine of 25 degrees: texels of a patch face no further away than this from where its brightest one faces.
+const SAME_WAY: f64 = 0.906;
 /// Much of a patch's power comes from saturated pixels: it is a lower bound.
 const BOUND: f64 = 0.01;
 
 /// A part of the surface that shines.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Patch {
-    /// Its centre, by power, metres.
+    /// Its centre, by power, on the surface, metres.
     pub centre_m: DVec3,
     /// Unit vector to where it shines.
     pub normal: DVec3,
@@ -52,7 +54,7 @@ fn luminance([r, g, b]: [f64; 3]) -> f64 {
 }
 
 impl Room {
-    /// Parts of the surface, each of one piece, that are more than ten times as bright as half of the known surface, the most powerful
+    /// Parts of the surface, each of one piece that faces one way, that are more than ten times as bright as half of the known surface, the most powerful
     /// first; those with less than 0.5 % of the light are left out.
     pub fn patches(&self) -> Vec<Patch> {
         let known = |texel: &usize| {
@@ -99,7 +101,7 @@ impl Room {
     }
 }
 
-/// Spots that hang together.
+/// Spots, the dimmest first, that hang together and face the same way.
 fn groups(spots: &[Spot], reach_m: f64) -> Vec<Vec<&Spot>> {
     let cube = |at: DVec3| (at / reach_m).floor().as_ivec3();
     let mut cubes: HashMap<IVec3, Vec<usize>> = HashMap::new();
@@ -107,7 +109,7 @@ fn groups(spots: &[Spot], reach_m: f64) -> Vec<Vec<&Spot>> {
         cubes.entry(cube(spot.at_m)).or_default().push(i);
     }
     let (mut groups, mut taken) = (vec![], vec![false; spots.len()]);
-    for start in 0..spots.len() {
+    for start in (0..spots.len()).rev() {
         if std::mem::replace(&mut taken[start], true) {
             continue;
         }
@@ -117,7 +119,8 @@ fn groups(spots: &[Spot], reach_m: f64) -> Vec<Vec<&Spot>> {
             for k in 0..27 {
                 let step = IVec3::new(k % 3 - 1, k / 3 % 3 - 1, k / 9 - 1);
                 for &other in cubes.get(&(cube(spots[i].at_m) + step)).into_iter().flatten() {
-                    if !taken[other] && spots[other].at_m.distance(spots[i].at_m) <= reach_m {
+                    let is_near = spots[other].at_m.distance(spots[i].at_m) <= reach_m;
+                    if !taken[other] && is_near && spots[other].normal.dot(spots[start].normal) > SAME_WAY {
                         taken[other] = true;
                         waiting.push(other);
                     }
@@ -138,7 +141,11 @@ fn patch(group: &[&Spot], light: f64) -> Patch {
     let usual = group.iter().map(|spot| own(spot) * luminance(spot.radiance)).sum::<f64>() / all;
     let core: Vec<&Spot> = group.iter().copied().filter(|s| luminance(s.radiance) > 0.5 * usual).collect();
     let area_m2: f64 = core.iter().map(|spot| spot.area_m2).sum();
-    let centre_m = group.iter().map(|spot| own(spot) * spot.at_m).sum::<DVec3>() / all;
+    // The mean of what is bent lies beside it: it goes to the plane of the nearest texel.
+    let mean_m = group.iter().map(|spot| own(spot) * spot.at_m).sum::<DVec3>() / all;
+    let away = |spot: &Spot| spot.at_m - mean_m;
+    let nearest = group.iter().min_by(|a, b| away(a).length_squared().total_cmp(&away(b).length_squared()));
+    let centre_m = nearest.map_or(mean_m, |spot| mean_m + away(spot).dot(spot.normal) * spot.normal);
     let middle = core.iter().map(|spot| spot.area_m2 * spot.at_m).sum::<DVec3>() / area_m2;
     let spread = core.iter().fold(DMat3::ZERO, |sum, spot| {
         let away = spot.at_m - middle;

@@ -33,23 +33,28 @@ pub fn lights(arguments: &Lights) -> Result<()> {
     if found.unseen > 0.001 {
         say!("warning: {:.1} % of the sphere was never seen and counts as dark", 100.0 * found.unseen);
     }
-    if found.error > arguments.tolerance {
+    let is_open = found.open_error > found.error;
+    if found.worst() > arguments.tolerance {
         say!(
-            "warning: {} leave the irradiance {:.1} % off, more than the {:.1} % asked for; allow more (--most){}",
+            "warning: {} leave the irradiance {:.1} % off {}, more than the {:.1} % asked for, and no other number up to {} leaves less; allow more (--most){}",
             count_of(found.lights.len(), "light"),
-            100.0 * found.error,
+            100.0 * found.worst(),
+            if is_open { "where nothing is hidden" } else { "with walls" },
             100.0 * arguments.tolerance,
+            arguments.most,
             if let LightMethod::Joined = arguments.method { ", or try --method median-cut" } else { "" }
         );
     }
     file::write_bytes(&out, found.csv().as_bytes())?;
     say!(
-        "wrote {}: {} and a smooth remainder (harmonics of order {}), irradiance to {:.1} % where nothing is hidden, {:.1} % with walls",
+        "wrote {}: {} and a smooth remainder (harmonics of order {}), irradiance to {:.1} % where nothing is hidden, {:.1} % with walls ({} decides, {:.1} % asked for)",
         out.display(),
         count_of(found.lights.len(), "light"),
         found.remainder.order(),
         100.0 * found.open_error,
-        100.0 * found.error
+        100.0 * found.error,
+        if is_open { "the former" } else { "the latter" },
+        100.0 * arguments.tolerance
     );
     Ok(())
 }
