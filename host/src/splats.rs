@@ -254,6 +254,31 @@ impl Grid {
     }
 }
 
+/// Columns, rows and levels of the splats that [`splats()`] wrote, as seen from straight above, each for itself; `None` for others.
+pub(crate) fn front(ply: &[u8]) -> Option<(u32, u32, Vec<[u8; 3]>)> {
+    let end = b"end_header\n";
+    let start = ply.windows(end.len()).position(|bytes| bytes == end)? + end.len();
+    let (said, records) = ply.split_at(start);
+    let (records, rest) = records.as_chunks::<RECORD>();
+    if said != header(records.len()).as_bytes() || !rest.is_empty() {
+        return None;
+    }
+    let number = |record: &[u8; RECORD], i: usize| {
+        f32::from_le_bytes(std::array::from_fn(|byte| record[4 * i + byte]))
+    };
+    // A row has one y.
+    let columns = records.iter().take_while(|record| number(record, 1) == number(&records[0], 1)).count();
+    let y = functions(-Vec3::Z);
+    let levels = records.iter().map(|record| {
+        std::array::from_fn(|c| {
+            let rest: f32 = (1..FUNCTIONS).map(|i| y[i] * number(record, 8 + (FUNCTIONS - 1) * c + i)).sum();
+            (255.0 * (MIDDLE + y[0] * number(record, 6 + c) + rest)).round() as u8
+        })
+    });
+    (columns > 0 && records.len() % columns == 0)
+        .then(|| (columns as u32, (records.len() / columns) as u32, levels.collect()))
+}
+
 fn header(count: usize) -> String {
     let names = ["x", "y", "z", "nx", "ny", "nz"].map(str::to_owned).into_iter();
     let names = names

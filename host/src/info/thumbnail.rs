@@ -8,20 +8,21 @@ use image::{ImageBuffer, Rgb, RgbImage};
 use super::{Kind, info};
 use crate::environment::EnvironmentMap;
 use crate::geometry::{Lens, Pose};
-use crate::observation::ObservationMap;
+use crate::observation::{ObservationMap, zarr};
 use crate::parameter_map::ParameterMap;
 use crate::picture::Picture;
 use crate::progress::Silent;
 use crate::radiance::RadianceImage;
 use crate::render::{expose, gamma_for_median, png, render};
 use crate::session::Session;
+use crate::splats;
 use crate::{Error, Result};
 
 /// The longer side, pixels.
 const SIDE: u32 = 384;
 
-/// The content of a PNG file, at most 384 pixels wide and high: a session's first view, a map from the front, what observations
-/// are on average, radiance exposed with half grey for the median of what was measured.
+/// The content of a PNG file, at most 384 pixels wide and high: a session's first view, a map or its splats from the front, what
+/// observations are on average, radiance exposed with half grey for the median of what was measured.
 ///
 /// # Errors
 /// Those of [`info()`]; [`Error::Input`] for a file that shows nothing, such as a table.
@@ -36,7 +37,9 @@ pub fn thumbnail(path: &Path) -> Result<Vec<u8>> {
             return exposed(width, height, &map.radiance, |i| map.flags[i] & EnvironmentMap::UNSEEN == 0);
         }
         // Of exported observations the mean.
-        Kind::Picture | Kind::Exchange if path.is_file() => {
+        Kind::Exchange if path.is_dir() => zarr::mean(path)?,
+        Kind::Splats => return of_splats(path),
+        Kind::Picture | Kind::Exchange => {
             let Picture { width, height, levels, .. } = Picture::read(path)?;
             let number = |bits: u16| half::f16::from_bits(bits).to_f32();
             (width, height, levels.into_iter().map(|pixel| pixel.map(number)).collect())
@@ -77,6 +80,14 @@ fn smaller(width: u32, height: u32, levels: Vec<u8>) -> Result<Vec<u8>> {
 
 fn of_view(image: &RadianceImage) -> Result<Vec<u8>> {
     exposed(image.width, image.height, &image.radiance, |i| image.mask[i] == 0)
+}
+
+fn of_splats(path: &Path) -> Result<Vec<u8>> {
+    let ply = std::fs::read(path).map_err(Error::io("read", path))?;
+    let (columns, rows, levels) = splats::front(&ply).ok_or_else(|| {
+        Error::input(path, "holds splats that this version of Rigel has not written", "leave --png out")
+    })?;
+    smaller(columns, rows, levels.concat())
 }
 
 fn of_session(path: &Path) -> Result<Vec<u8>> {

@@ -38,6 +38,49 @@ pub(crate) fn attributes(path: &Path) -> Option<Value> {
     is_ours.then_some(about)
 }
 
+/// Columns, rows, and what the views of a store that Rigel wrote measured on average, texel by texel: 0 where none did.
+///
+/// # Errors
+/// [`Error::Io`]; [`Error::Input`] when the store is damaged.
+pub(crate) fn mean(path: &Path) -> Result<(u32, u32, Vec<[f32; 3]>)> {
+    let radiance = path.join("radiance");
+    let damaged = |what: String| Error::input(path, what, "export it again");
+    let read = |name: &str| fs::read(radiance.join(name)).map_err(Error::io("read", radiance.join(name)));
+    let meta: Value = serde_json::from_slice(&read(ARRAY)?)
+        .map_err(|error| damaged(format!("does not say its shape ({error})")))?;
+    let sides = |name: &str| {
+        let sides: Vec<usize> =
+            meta[name].as_array().into_iter().flatten().filter_map(|n| Some(n.as_u64()? as usize)).collect();
+        <[usize; 4]>::try_from(sides).ok().filter(|sides| !sides.contains(&0) && sides[3] == 3)
+    };
+    let is_ours =
+        |(shape, chunk): &([usize; 4], [usize; 4])| shape[2] == chunk[2] && shape[0] * shape[1] < 1 << 30;
+    let Some(([rows, columns, views, _], chunk)) = sides("shape").zip(sides("chunks")).filter(is_ours) else {
+        return Err(damaged("has no radiance (row, column, view, channel)".into()));
+    };
+    let mut means = vec![[0.0; 3]; rows * columns];
+    for (down, right) in (0..rows.div_ceil(chunk[0]))
+        .flat_map(|down| (0..columns.div_ceil(chunk[1])).map(move |right| (down, right)))
+    {
+        let (name, length) = (format!("{down}.{right}.0.0"), 4 * chunk.iter().product::<usize>());
+        let bytes = miniz_oxide::inflate::decompress_to_vec_zlib_with_limit(&read(&name)?, length);
+        let values: Vec<f32> = bytes.ok().filter(|bytes| bytes.len() == length).map_or_else(
+            || Err(damaged(format!("holds a damaged piece (radiance/{name})"))),
+            |bytes| Ok(bytemuck::pod_collect_to_vec(&bytes)),
+        )?;
+        for (slot, seen) in values.chunks_exact(3 * views).enumerate() {
+            let (row, column) = (down * chunk[0] + slot / chunk[1], right * chunk[1] + slot % chunk[1]);
+            if row < rows && column < columns {
+                let seen = seen.chunks_exact(3).filter(|l| !l[0].is_nan());
+                let (sum, count) =
+                    seen.fold(([0.0; 3], 0), |(sum, n), l| (std::array::from_fn(|c| sum[c] + l[c]), n + 1));
+                means[row * columns + column] = sum.map(|sum: f32| sum / count.max(1) as f32);
+            }
+        }
+    }
+    Ok((columns as u32, rows as u32, means))
+}
+
 impl ObservationMap {
     /// Writes a Zarr store (version 2, zlib): `radiance` (row, column, view, channel) and `sigma` (row, column, view) as 32-bit floats,
     /// not a number where a view measured nothing, a tile of the map in each chunk; `centre` (view, axis; metres), `x` (column) and `y`

@@ -1,5 +1,7 @@
 //! Pictures that the processor draws: text, curves, photographs. They are laid over what the device draws, or written as they are.
 
+use std::f32::consts::TAU;
+
 use glam::Vec2;
 
 use crate::font::{ADVANCE, LINE, ROWS, has_ink};
@@ -13,6 +15,9 @@ pub(crate) const DIM: Colour = [16, 17, 20, 205];
 pub(crate) const INK: Colour = [236, 236, 230, 255];
 /// Text that matters less, and axes.
 pub(crate) const FAINT: Colour = [150, 152, 158, 255];
+
+/// The radius of a ring of scale 1, pixels.
+const RING_PX: f32 = 7.0;
 
 /// A picture that may be transparent, row by row from the top.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -68,6 +73,15 @@ impl Raster {
         for step in 0..=steps as u32 {
             let at = from.lerp(to, step as f32 / steps.max(1.0)).round().as_ivec2();
             self.fill((at.x - half, at.y - half), (side, side), colour);
+        }
+    }
+
+    /// A ring around a place, to be seen on bright and dark.
+    pub fn ring(&mut self, centre: Vec2, scale: u32) {
+        let on_ring =
+            |step: u16| centre + RING_PX * scale as f32 * Vec2::from_angle(f32::from(step) * TAU / 32.0);
+        for (side, colour) in [(3, DIM), (1, INK)] {
+            (0..32).for_each(|step| self.line(on_ring(step), on_ring(step + 1), side * scale, colour));
         }
     }
 

@@ -8,6 +8,7 @@ mod words;
 
 use std::path::PathBuf;
 
+use glam::DVec2;
 use rigel::emitter::Floor;
 use rigel::evaluate::Reference;
 use rigel::geometry::{Lens, Pose};
@@ -187,6 +188,24 @@ impl App {
         let at = map.surface.contains(point_m).then(|| map.surface.texel_at(map.texels, point_m).round())?;
         let within = |at: f64, count: u32| (at.max(0.0) as u32).min(count - 1);
         Some((within(at.x, map.texels.columns), within(at.y, map.texels.rows)))
+    }
+
+    /// Where the chosen texel is seen in the window: the other way round.
+    fn place_of_texel(&self) -> Option<DVec2> {
+        let (view, map) = (self.view(), &self.show.maps[self.map].1);
+        let (column, row) = self.show.texel?;
+        let centre_m = map.surface.texel_centre(map.texels, column, row);
+        let pixel = view.lens.project(view.pose.to_camera(centre_m))? + 0.5;
+        Some(match &self.step {
+            None => pixel,
+            Some(_) => {
+                let own = (view.lens.width, view.lens.height);
+                let (corner, shown) = framed(self.free(), own);
+                let scale =
+                    DVec2::new(shown.0.into(), shown.1.into()) / DVec2::new(own.0.into(), own.1.into());
+                DVec2::new(corner.0.into(), corner.1.into()) + scale * pixel
+            }
+        })
     }
 
     /// Draws the chosen texel's radiance against direction, of the map that is shown.

@@ -124,7 +124,7 @@ fn every_file_says_what_it_is_and_maps_have_a_picture() {
         ("response.csv", "a response", false),
         ("session", "from a camera", false),
         ("page.html", "a page", false),
-        ("splats.ply", "made by rigel export", false),
+        ("splats.ply", "made by rigel export", true),
     ] {
         let output = rigel(folder.path(), &["info", name]);
         assert!(output.status.success() && said(&output).contains(what), "{name}: {}", said(&output));

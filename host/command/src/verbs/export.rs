@@ -13,6 +13,9 @@ use crate::progress::Bar;
 use crate::say::{count_of, say};
 use crate::verbs::{read_map, require_extension, require_place};
 
+/// A mean difference that is plain to see beside the map, of 255.
+const VISIBLE_255: f64 = 2.0;
+
 /// `rigel export`.
 pub fn export(arguments: &Export) -> Result<()> {
     let Export { web, splats, exr, zarr, .. } = arguments;
@@ -97,5 +100,10 @@ fn write_splats(arguments: &Export, out: &Path) -> Result<()> {
         splats.mean_255,
         splats.most_255
     );
+    if splats.mean_255 > VISIBLE_255 {
+        say!(
+            "warning: such soft harmonics do not show what shines here; a page (--web) keeps the map's own model"
+        );
+    }
     Ok(())
 }

@@ -36,7 +36,7 @@ pub fn lights(arguments: &Lights) -> Result<()> {
     let is_open = found.open_error > found.error;
     if found.worst() > arguments.tolerance {
         say!(
-            "warning: {} leave the irradiance {:.1} % off {}, more than the {:.1} % asked for, and no other number up to {} leaves less; allow more (--most){}",
+            "warning: with {} the irradiance is {:.1} % off {}, more than the {:.1} % asked for, and no other number up to {} leaves less; allow more (--most){}",
             count_of(found.lights.len(), "light"),
             100.0 * found.worst(),
             if is_open { "where nothing is hidden" } else { "with walls" },

@@ -50,7 +50,7 @@ pub fn view(arguments: &View) -> Result<()> {
     if let Some(out) = arguments.screenshot.as_ref().filter(|_| arguments.headless) {
         let profile =
             arguments.texel.map(|texel| Profile::new(&maps[0], texel, observations.as_ref())).transpose()?;
-        return screenshot(&maps[0], &view, profile.as_ref(), out);
+        return screenshot(&maps[0], &view, arguments.texel.zip(profile.as_ref()), out);
     }
     let views = session.as_ref().map(comparable_views).transpose()?.unwrap_or_default();
     let names =
@@ -148,17 +148,21 @@ fn first_view(arguments: &View, map: &ParameterMap) -> Result<rigel_view::View> 
 fn screenshot(
     map: &ParameterMap,
     view: &rigel_view::View,
-    profile: Option<&Profile>,
+    beside: Option<((u32, u32), &Profile)>,
     out: &Path,
 ) -> Result<()> {
     let graphics = Graphics::open()?;
     let scene = Scene::new(&graphics, map, PICTURE)?;
     let levels = scene.picture(&graphics, view)?;
     let size = (view.lens.width, view.lens.height);
-    let beside = profile.map_or((0, 0), |_| PANEL);
-    let mut picture = Raster::new(size.0 + beside.0, size.1.max(beside.1));
+    let panel = beside.map_or((0, 0), |_| PANEL);
+    let mut picture = Raster::new(size.0 + panel.0, size.1.max(panel.1));
     picture.picture((0, 0), size, &levels, size);
-    if let Some(profile) = profile {
+    if let Some(((column, row), profile)) = beside {
+        let centre_m = map.surface.texel_centre(map.texels, column, row);
+        if let Some(pixel) = view.lens.project(view.pose.to_camera(centre_m)) {
+            picture.ring((pixel + 0.5).as_vec2(), 1);
+        }
         picture.place((size.0 as i32, 0), &profile.draw((PANEL.0, picture.height), 1));
     }
     write(&picture, out)?;

@@ -68,6 +68,9 @@ impl App {
     pub(super) fn write(&self, over: &mut Raster) {
         let scale = letters(PhysicalSize::new(over.width, over.height));
         let margin = (4 * scale) as i32;
+        if let Some(place) = self.place_of_texel() {
+            over.ring(place.as_vec2(), scale);
+        }
         if let Some(profile) = &self.profile {
             let size = (PANEL.0 * scale, (PANEL.1 * scale).min(over.height));
             over.place((over.width as i32 - size.0 as i32, 0), &profile.draw(size, scale));

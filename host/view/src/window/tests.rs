@@ -122,12 +122,18 @@ fn a_click_finds_the_texel_that_is_seen_there() {
         let centre = map().surface.texel_centre(TEXELS, column, row);
         view.lens.project(view.pose.to_camera(centre)).unwrap()
     };
+    // The panel that opens beside it may move the picture.
+    let is_marked = |app: &App| {
+        let place = app.place_of_texel().unwrap();
+        assert_eq!(app.texel_at(place.into()), app.show.texel);
+    };
     for (column, row) in [(0, 0), (15, 11), (7, 3)] {
         let pixel = where_is(&app, column, row);
         app.pointer = (pixel.x + 0.5, pixel.y + 0.5);
         app.click().unwrap();
         assert_eq!(app.show.texel, Some((column, row)));
         assert!(app.profile.is_some());
+        is_marked(&app);
     }
     // In a photographed view's picture, which is enlarged in the window: 160 x 100 to 320 x 200, 20 pixels from the top.
     press(&mut app, "n");
@@ -135,6 +141,7 @@ fn a_click_finds_the_texel_that_is_seen_there() {
     app.pointer = (2.0 * pixel.x + 1.0, 2.0 * pixel.y + 21.0);
     app.click().unwrap();
     assert_eq!(app.show.texel, Some((4, 9)));
+    is_marked(&app);
     app.pointer = (0.0, 0.0);
     app.click().unwrap();
     assert!(app.show.texel.is_none() && app.profile.is_none());

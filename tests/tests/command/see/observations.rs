@@ -62,11 +62,18 @@ fn python_reads_the_observations_as_they_are() {
         assert!(same && values.len() == 4 * want.len(), "{kind}");
         let told = succeed(folder.path(), &["info", &out]);
         assert!(told.contains("observations: radiance of every texel") && told.contains("7 views"), "{told}");
-        if kind == "exr" {
-            succeed(folder.path(), &["info", &out, "--png", "mean.png"]);
-            let size = image::image_dimensions(folder.path().join("mean.png")).unwrap();
-            assert_eq!(size, (header.texels.columns, header.texels.rows));
-        }
+        // The same picture as that of the file that it was made from.
+        let pictures = ["wide/observations.rigel", &out].map(|of| {
+            succeed(folder.path(), &["info", of, "--png", "mean.png", "--force"]);
+            let picture = image::open(folder.path().join("mean.png")).unwrap().into_rgb8();
+            std::fs::remove_file(folder.path().join("mean.png")).unwrap();
+            picture
+        });
+        assert_eq!(pictures[0].dimensions(), (header.texels.columns, header.texels.rows));
+        // OpenEXR's is read as half floats.
+        let differs = |(a, b): (&u8, &u8)| a.abs_diff(*b) > 1;
+        assert!(!pictures[0].as_raw().iter().zip(pictures[1].as_raw()).any(differs), "{kind}");
+        assert_eq!(pictures[0].dimensions(), pictures[1].dimensions());
         // Nothing is replaced unasked.
         let before = snapshot(folder.path());
         let again = rigel(folder.path(), &["export", source, &format!("--{kind}"), &out]).output().unwrap();
