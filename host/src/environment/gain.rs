@@ -5,6 +5,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use super::lattice::evenly;
+use super::map::KNOTS;
 use super::warp::Border;
 use crate::geometry::Lens;
 use crate::{Error, Result};
@@ -25,8 +26,6 @@ const BALANCE: f64 = 0.1;
 const SHAPE_SIGMA: f64 = 0.1;
 /// Levels go about with this root of the exposure.
 const TONE: f64 = 2.2;
-/// Knots of the curve, even in [`tone`].
-const KNOTS: usize = 13;
 /// How far a camera's curve is from the assumed one at a knot, and how far a knot's value is from the mean of its neighbours.
 const CURVE_SIGMA: f64 = 1.0;
 const CURVE_BEND: f64 = 0.1;

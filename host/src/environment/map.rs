@@ -16,6 +16,9 @@ use crate::{Error, Result, file};
 const MARK: &str = "rigelEnvironment";
 const UNIT: &str = "rigelUnit";
 const CURVE: &str = "rigelCurve";
+/// Knots of a camera's curve, and what none of them reaches: a factor of 20000.
+pub(super) const KNOTS: usize = 13;
+const MOST_BENT: f64 = 10.0;
 const SOFTWARE: &str = concat!("rigel ", env!("CARGO_PKG_VERSION"));
 
 /// What is special about a pixel; 0 is nothing.
@@ -86,7 +89,7 @@ pub struct EnvironmentMap {
     pub size: LatLong,
     /// Linear red, green and blue; 0 where nothing was seen.
     pub radiance: Vec<[f32; 3]>,
-    /// The variance of their mean; infinite where nothing was measured. Empty for a map of another program.
+    /// The variance of each of them (green's, at their mean); infinite where nothing was measured. Empty for a map of another program.
     pub variance: Vec<f32>,
     /// How many photographs show a pixel. Empty for a map of another program.
     pub coverage: Vec<u16>,
@@ -94,8 +97,8 @@ pub struct EnvironmentMap {
     pub flags: Vec<Flag>,
     /// What the radiance is counted in.
     pub unit: Unit,
-    /// What the photographs' stated exposures told of the camera's curve: ln of exposure over that of sRGB, at exposures even in the root 2.2 of their
-    /// part of white. Empty where they told nothing.
+    /// What the photographs' stated exposures told of the camera's curve: ln of exposure over that of sRGB, at 13 exposures even in the root
+    /// 2.2 of their part of white. Empty where they told nothing.
     pub curve: Vec<f64>,
 }
 
@@ -138,7 +141,7 @@ impl EnvironmentMap {
         }
         let comments = "Radiance from every direction (linear RGB), y up: the map's centre is +z, +x is a quarter to its left. A pixel's \
              centre lies half a pixel inside the map's border. flags: 1 a lower bound (saturated), 2 never seen, 4 never seen and filled; \
-             variance is that of the mean of R, G and B, infinite where nothing was measured; coverage counts photographs.";
+             variance is that of G, taken for all three at their mean, infinite where nothing was measured; coverage counts photographs.";
         let mut attributes = LayerAttributes {
             software_name: Some(SOFTWARE.into()),
             comments: Some(comments.into()),
@@ -317,9 +320,15 @@ fn read(path: &Path) -> Result<Pixels> {
             Some(AttributeValue::Text(knots)) if own => {
                 let knots: std::result::Result<Vec<f64>, _> =
                     knots.to_string().split(',').map(str::parse::<f64>).collect();
-                let is_usable = |knots: &Vec<f64>| knots.iter().all(|knot| knot.is_finite());
+                let is_usable = |knots: &Vec<f64>| {
+                    knots.len() == KNOTS && knots.iter().all(|knot| knot.abs() < MOST_BENT)
+                };
                 knots.ok().filter(is_usable).ok_or_else(|| {
-                    Error::input(path, format!("its attribute {CURVE} is no list of numbers"), remedy)
+                    Error::input(
+                        path,
+                        format!("its attribute {CURVE} is no list of {KNOTS} small numbers"),
+                        remedy,
+                    )
                 })?
             }
             _ => vec![],
@@ -352,4 +361,35 @@ fn read(path: &Path) -> Result<Pixels> {
         unit: Unit::Unknown,
         curve: vec![],
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_curve_that_no_camera_has_is_refused_by_the_map_s_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("map.exr");
+        let with = |curve: Vec<f64>| {
+            let map = EnvironmentMap {
+                size: LatLong::new(4, 2).unwrap(),
+                radiance: vec![[1.0; 3]; 8],
+                variance: vec![],
+                coverage: vec![],
+                flags: vec![],
+                unit: Unit::Unknown,
+                curve,
+            };
+            map.write(&path).unwrap();
+            EnvironmentMap::read(&path).map(|read| read.curve)
+        };
+        for curve in [vec![], vec![0.25; KNOTS]] {
+            assert_eq!(with(curve.clone()).unwrap(), curve);
+        }
+        for curve in [vec![0.0; 3], vec![1e300; KNOTS], vec![f64::NAN; KNOTS]] {
+            let error = with(curve).unwrap_err().to_string();
+            assert!(error.contains("map.exr") && error.contains("13 small numbers"), "{error}");
+        }
+    }
 }

@@ -37,7 +37,7 @@ pub struct Options {
 pub struct Merged {
     /// Red, green, blue; 0 where nothing was seen.
     pub radiance: Vec<[f32; 3]>,
-    /// The variance of the mean of the three; infinite where nothing was measured.
+    /// The variance of each of the three, at their mean; infinite where nothing was measured.
     pub variance: Vec<f32>,
     /// How many photographs show the pixel.
     pub coverage: Vec<u16>,

@@ -154,7 +154,8 @@ fn compare(
             (0..3).for_each(|c| cell.before[c] += angle * f64::from(map.radiance[i][c]));
             (0..3).for_each(|c| cell.after[c] += angle * f64::from(now.radiance[i][c]));
             // What is black in one photograph is so in all.
-            cell.doubt += angle * f64::from(now.variance.get(i).copied().unwrap_or(0.0)).sqrt();
+            let variance = |map: &EnvironmentMap| f64::from(map.variance.get(i).copied().unwrap_or(0.0));
+            cell.doubt += angle * (variance(map) + variance(now)).sqrt();
         }
         cells
     };

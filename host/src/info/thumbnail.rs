@@ -34,7 +34,9 @@ pub fn thumbnail(path: &Path) -> Result<Vec<u8>> {
         Kind::Environment => {
             let map = EnvironmentMap::read(path)?;
             let (width, height) = (map.size.width() as u32, map.size.height() as u32);
-            return exposed(width, height, &map.radiance, |i| map.flags[i] & EnvironmentMap::UNSEEN == 0);
+            return exposed(width, height, &map.radiance, |i| {
+                map.flags.get(i).is_none_or(|flag| flag & EnvironmentMap::UNSEEN == 0)
+            });
         }
         // Of exported observations the mean.
         Kind::Exchange if path.is_dir() => zarr::mean(path)?,

@@ -21,6 +21,8 @@ const ATTRIBUTES: &str = ".zattrs";
 pub(crate) const MADE_BY: &str = "made_by";
 /// Of zlib: the fastest that compresses; noise does not get much smaller.
 const LEVEL: u8 = 1;
+/// No side of an array that Rigel wrote is longer.
+const MOST: usize = 1 << 14;
 const ORDER: char = if cfg!(target_endian = "big") { '>' } else { '<' };
 /// xarray's name for the names of an array's axes.
 const DIMENSIONS: &str = "_ARRAY_DIMENSIONS";
@@ -51,10 +53,13 @@ pub(crate) fn mean(path: &Path) -> Result<(u32, u32, Vec<[f32; 3]>)> {
     let sides = |name: &str| {
         let sides: Vec<usize> =
             meta[name].as_array().into_iter().flatten().filter_map(|n| Some(n.as_u64()? as usize)).collect();
-        <[usize; 4]>::try_from(sides).ok().filter(|sides| !sides.contains(&0) && sides[3] == 3)
+        let are_usable = |sides: &[usize; 4]| sides.iter().all(|side| (1..=MOST).contains(side));
+        <[usize; 4]>::try_from(sides).ok().filter(are_usable)
     };
-    let is_ours =
-        |(shape, chunk): &([usize; 4], [usize; 4])| shape[2] == chunk[2] && shape[0] * shape[1] < 1 << 30;
+    let is_ours = |(shape, chunk): &([usize; 4], [usize; 4])| {
+        shape[2..] == chunk[2..] && shape[3] == 3 && meta["dtype"].as_str() == Some(&format!("{ORDER}f4"))
+    };
+    // Another program may have changed them.
     let Some(([rows, columns, views, _], chunk)) = sides("shape").zip(sides("chunks")).filter(is_ours) else {
         return Err(damaged("has no radiance (row, column, view, channel)".into()));
     };

@@ -1,6 +1,7 @@
 //! A parameter map on the device.
 
 use bytemuck::cast_slice;
+use glam::{DVec3, UVec2, Vec2};
 use half::f16;
 use rigel::emitter::Floor;
 use rigel::geometry::{Lens, Pose, Surface, Texels};
@@ -47,6 +48,15 @@ pub struct View {
     /// How often the texels are halved in number along each side: the radiance of 2 x 2 becomes one. Anything but 0 is shaded by
     /// texel.
     pub halvings: u32,
+}
+
+impl View {
+    /// Where a point of the surface's frame (metres) is seen, in pixels from the picture's top-left corner; `None` beside the picture.
+    pub fn place_of(&self, point_m: DVec3) -> Option<Vec2> {
+        let place = (self.lens.project(self.pose.to_camera(point_m))? + 0.5).as_vec2();
+        let size = UVec2::new(self.lens.width, self.lens.height).as_vec2();
+        (place.cmpge(Vec2::ZERO) & place.cmple(size)).all().then_some(place)
+    }
 }
 
 /// A floor that the map lights: what draws it, its width and its depth in metres.

@@ -8,7 +8,7 @@ mod words;
 
 use std::path::PathBuf;
 
-use glam::DVec2;
+use glam::{IVec2, UVec2, Vec2};
 use rigel::emitter::Floor;
 use rigel::evaluate::Reference;
 use rigel::geometry::{Lens, Pose};
@@ -191,19 +191,16 @@ impl App {
     }
 
     /// Where the chosen texel is seen in the window: the other way round.
-    fn place_of_texel(&self) -> Option<DVec2> {
+    fn place_of_texel(&self) -> Option<Vec2> {
         let (view, map) = (self.view(), &self.show.maps[self.map].1);
         let (column, row) = self.show.texel?;
-        let centre_m = map.surface.texel_centre(map.texels, column, row);
-        let pixel = view.lens.project(view.pose.to_camera(centre_m))? + 0.5;
+        let place = view.place_of(map.surface.texel_centre(map.texels, column, row))?;
         Some(match &self.step {
-            None => pixel,
+            None => place,
             Some(_) => {
-                let own = (view.lens.width, view.lens.height);
-                let (corner, shown) = framed(self.free(), own);
-                let scale =
-                    DVec2::new(shown.0.into(), shown.1.into()) / DVec2::new(own.0.into(), own.1.into());
-                DVec2::new(corner.0.into(), corner.1.into()) + scale * pixel
+                let own = UVec2::new(view.lens.width, view.lens.height);
+                let (corner, shown) = framed(self.free(), own.into());
+                IVec2::from(corner).as_vec2() + place * UVec2::from(shown).as_vec2() / own.as_vec2()
             }
         })
     }

@@ -107,6 +107,8 @@ fn every_file_says_what_it_is_and_maps_have_a_picture() {
     let at = |name: &str| folder.path().join(name);
     map().write(&at("phong.exr")).unwrap();
     environment().write(&at("room.exr")).unwrap();
+    let bare = EnvironmentMap { flags: vec![], ..environment() };
+    bare.write(&at("bare.exr")).unwrap();
     Response::srgb(255).write_csv(&at("response.csv")).unwrap();
     Session::create(&at("session"), Manifest::new("a camera")).unwrap();
     std::fs::write(at("letter.txt"), "Dear reader").unwrap();
@@ -120,6 +122,7 @@ fn every_file_says_what_it_is_and_maps_have_a_picture() {
     for (name, what, has_picture) in [
         ("phong.exr", "model phong", true),
         ("room.exr", "radiance from every direction", true),
+        ("bare.exr", "radiance from every direction", true),
         ("picture.exr", "a picture in OpenEXR", true),
         ("response.csv", "a response", false),
         ("session", "from a camera", false),

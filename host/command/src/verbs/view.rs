@@ -159,9 +159,8 @@ fn screenshot(
     let mut picture = Raster::new(size.0 + panel.0, size.1.max(panel.1));
     picture.picture((0, 0), size, &levels, size);
     if let Some(((column, row), profile)) = beside {
-        let centre_m = map.surface.texel_centre(map.texels, column, row);
-        if let Some(pixel) = view.lens.project(view.pose.to_camera(centre_m)) {
-            picture.ring((pixel + 0.5).as_vec2(), 1);
+        if let Some(place) = view.place_of(map.surface.texel_centre(map.texels, column, row)) {
+            picture.ring(place, 1);
         }
         picture.place((size.0 as i32, 0), &profile.draw((PANEL.0, picture.height), 1));
     }

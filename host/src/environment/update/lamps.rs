@@ -28,7 +28,7 @@ const AROUND_RAD: f64 = 0.01;
 const SHOWN: f64 = 0.5;
 /// A lamp's power is not kept better than this when photographs are put on the sphere, relative.
 const SAMPLED: f64 = 0.01;
-/// So much of a channel is taken to be held, of the lamp's power, and to be left, of what was held.
+/// A channel with less of the lamp's power tells nothing, and so much of what it held is taken to be left.
 const LEAST_LEFT: f64 = 1e-3;
 
 /// What has become of a lamp.
@@ -40,7 +40,7 @@ pub struct Lamp {
     pub share: f64,
     /// Red, green and blue of its power now over before, and their relative standard deviations; `None` where the photographs show less than half of it,
     /// or either is saturated there, or no more of its power, of all colours together, is left than its doubt: it goes with the rest. A colour of which less is left has a thousandth,
-    /// with its doubt.
+    /// with its doubt; one that hardly shone has the factor of the others together.
     pub factor: Option<([f64; 3], [f64; 3])>,
     /// Whether it differs from the rest by more than the threshold and three sigmas: then it was multiplied by its own factor.
     pub is_own: bool,
@@ -235,12 +235,17 @@ impl Lamps {
             if power.iter().sum::<f64>() <= doubt.iter().sum::<f64>() {
                 return none;
             }
-            // Of a coloured one a channel may hold nothing.
-            let held = core.map(|core| core.max(LEAST_LEFT * all));
-            let left = [0, 1, 2].map(|c| power[c].max(LEAST_LEFT * held[c]));
-            let factor = [0, 1, 2].map(|c| left[c] / held[c]);
-            let own = [0, 1, 2].map(|c| (doubt[c] / left[c]).hypot(SAMPLED));
-            let is_own = (0..3).any(|c| {
+            let left = [0, 1, 2].map(|c| power[c].max(LEAST_LEFT * core[c]));
+            // Of a coloured one a channel may hold nothing: it goes with the others.
+            let is_lit = core.map(|core| core > LEAST_LEFT * all);
+            let sum = |of: &[f64; 3]| (0..3).filter(|&c| is_lit[c]).map(|c| of[c]).sum::<f64>();
+            let of = |c: usize| match is_lit[c] {
+                true => (left[c] / core[c], doubt[c] / left[c]),
+                false => (sum(&left) / sum(&core), sum(&doubt) / sum(&left)),
+            };
+            let factor = [0, 1, 2].map(|c| of(c).0);
+            let own = [0, 1, 2].map(|c| of(c).1.hypot(SAMPLED));
+            let is_own = (0..3).filter(|&c| is_lit[c]).any(|c| {
                 let off = (factor[c] / rest[c]).ln().abs();
                 off > (1.0 + threshold).ln().max(SIGMAS * own[c])
             });

@@ -69,7 +69,7 @@ impl App {
         let scale = letters(PhysicalSize::new(over.width, over.height));
         let margin = (4 * scale) as i32;
         if let Some(place) = self.place_of_texel() {
-            over.ring(place.as_vec2(), scale);
+            over.ring(place, scale);
         }
         if let Some(profile) = &self.profile {
             let size = (PANEL.0 * scale, (PANEL.1 * scale).min(over.height));

@@ -125,7 +125,7 @@ fn a_click_finds_the_texel_that_is_seen_there() {
     // The panel that opens beside it may move the picture.
     let is_marked = |app: &App| {
         let place = app.place_of_texel().unwrap();
-        assert_eq!(app.texel_at(place.into()), app.show.texel);
+        assert_eq!(app.texel_at((place.x.into(), place.y.into())), app.show.texel);
     };
     for (column, row) in [(0, 0), (15, 11), (7, 3)] {
         let pixel = where_is(&app, column, row);
