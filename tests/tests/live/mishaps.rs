@@ -3,7 +3,7 @@
 use super::*;
 
 fn small() -> Tour {
-    Tour { photographs: 6, laps: 0.2, ..tour() }
+    Tour { photographs: 6, laps: 0.1, ..tour() }
 }
 
 fn open<'a>(folder: &Path, tour: &'a Tour) -> Live<'a> {
