@@ -91,6 +91,7 @@ pub struct Live<'a> {
     /// Why photographs have no place, and what is wrong with the table.
     left: BTreeMap<PathBuf, String>,
     is_settled: bool,
+    is_closed: bool,
     /// The first photograph's size and highest level, and its lens.
     first: Option<((u32, u32, u16), Lens)>,
     coverage: Option<Coverage>,
@@ -158,6 +159,7 @@ impl<'a> Live<'a> {
             waiting: vec![],
             left: BTreeMap::new(),
             is_settled: false,
+            is_closed: false,
             first: None,
             coverage: None,
             views: Views::default(),
@@ -225,6 +227,11 @@ impl<'a> Live<'a> {
         self.is_settled
     }
 
+    /// Whether photographs are left out from now on that were not there when it was last asked: those that go on coming never settle.
+    pub fn close(&mut self, is_closed: bool) {
+        self.is_closed = is_closed;
+    }
+
     /// What has come since it was last asked. A photograph counts when it has not grown since the last time; of many some wait for the next look.
     ///
     /// # Errors
@@ -240,6 +247,9 @@ impl<'a> Live<'a> {
         let started = Instant::now();
         for line in lines.into_iter().filter(|line| line.path.exists()) {
             let path = line.path.clone();
+            if self.is_closed && !self.sizes.was_there(&path) {
+                continue;
+            }
             let is_new = !self.known.contains(&path) && self.sizes.is_whole(&path);
             if is_new && started.elapsed() < ENOUGH {
                 self.receive(line, &mut told)?;

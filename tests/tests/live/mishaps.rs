@@ -264,6 +264,30 @@ fn why_a_photograph_was_not_read_is_said_as_it_is() {
 }
 
 #[test]
+fn photographs_that_go_on_coming_do_not_keep_the_turning_from_its_end() {
+    let tour = small();
+    let (all, folder) = photographs(&tour);
+    let to = folder.path();
+    (2..6).for_each(|i| fs::remove_file(to.join(photograph(i))).unwrap());
+    fs::write(to.join("frames.csv"), table_of(&tour, 6)).unwrap();
+    let mut live = open(to, &tour);
+    assert_eq!(placed(&come(&mut live)).len(), 2);
+    put(all.path(), to, 2, &tour);
+    live.look().unwrap();
+    live.close(true);
+    let mut arrivals = vec![];
+    for i in 3..6 {
+        put(all.path(), to, i, &tour);
+        arrivals.extend(live.look().unwrap());
+        assert!(live.is_settled(), "{i}");
+    }
+    // One that was there before it was closed still counts.
+    assert!(placed(&arrivals).len() == 1 && arrivals[0].name == photograph(2), "{arrivals:?}");
+    live.close(false);
+    assert_eq!(placed(&come(&mut live)).len(), 3);
+}
+
+#[test]
 fn a_lens_that_shows_too_little_to_be_led_by_is_refused() {
     let lens = |across_deg: f64| Lens::pinhole(240, 180, 120.0 / (across_deg / 2.0).to_radians().tan());
     assert!(Live::require(&lens(3.0)).is_ok());

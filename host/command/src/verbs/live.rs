@@ -128,6 +128,7 @@ pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Re
         }
         let is_whole = live.coverage().is_some_and(Coverage::is_done);
         let is_over = is_whole || is_ended;
+        live.close(is_over);
         // Of many each look reads some.
         if has_news || !is_over {
             until = Instant::now() + REST;
