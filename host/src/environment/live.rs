@@ -4,7 +4,10 @@
 //! without a tracker its corners, beside those of earlier photographs. What is needed to make the map afterwards is written as `frames.csv`, which the
 //! next session in the folder replaces.
 
+mod end;
+mod ended;
 mod files;
+mod sources;
 mod table;
 mod views;
 
@@ -16,15 +19,16 @@ use glam::{DQuat, DVec3};
 
 use super::coverage::{Coverage, Pointing, Wanted};
 use super::mosaic::{Options, lens_of};
-use super::shots::{Frame, Shots, Tracking, is_tracked};
+use super::shots::Tracking;
 use super::tracked::{DELAY_SIGMA_S, STATED_DELAY_SIGMA_S};
 use crate::camera::folder::list;
 use crate::geometry::{Lens, world_from_camera};
 use crate::picture::Picture;
 use crate::tracker::{Causal, Tail};
 use crate::{Error, Result};
-use files::{Line, Sizes, by_time};
-use table::{Ended, Row, begun, ended, faults, name, notes, table_in, words, write};
+use ended::Ended;
+use files::{Line, Sizes};
+use table::{Row, begun, lens_beside, name, table_in, words};
 use views::{View, Views, smaller};
 
 /// The tracker's jitter is forgotten in so many seconds.
@@ -35,6 +39,9 @@ const SILENT_S: f64 = 0.25;
 const PATIENCE: Duration = Duration::from_secs(1);
 /// A look that lasted so long comes to its end.
 const ENOUGH: Duration = Duration::from_millis(500);
+/// Nothing narrower is sure to show a cell of [`Coverage`] wherever it is pointed, degrees.
+const NARROWEST_DEG: f64 = 2.0;
+
 /// A photograph that has come, or what is to be said of the table.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Arrival {
@@ -66,10 +73,15 @@ pub struct Live<'a> {
     wanted: Wanted,
     /// What says which photographs there are, where somebody else writes it.
     table: Option<PathBuf>,
-    /// The table's lens, and whether it leaves turns to the tracker, once it lists a photograph.
+    /// What it said when it could last be read.
+    ended: Option<Ended>,
+    /// The table's lens, or that of a `frames.json` beside it.
     lens: Option<Lens>,
+    /// Whether the table leaves turns to the tracker, once it lists a photograph.
     is_tracked: Option<bool>,
     tracker: Option<(Tail, Causal)>,
+    /// Whether the tracker's records have come to what is none.
+    is_deaf: bool,
     said: Option<DQuat>,
     sizes: Sizes,
     /// Photographs that were read, or refused as they are.
@@ -79,6 +91,7 @@ pub struct Live<'a> {
     /// Why photographs have no place, and what is wrong with the table.
     left: BTreeMap<PathBuf, String>,
     is_settled: bool,
+    is_closed: bool,
     /// The first photograph's size and highest level, and its lens.
     first: Option<((u32, u32, u16), Lens)>,
     coverage: Option<Coverage>,
@@ -126,15 +139,19 @@ impl<'a> Live<'a> {
             ));
         }
         let tracker = records.map(|records| (Tail::new(&records, tracking.receiver), Causal::new(MEMORY_S)));
+        let lens = lens_beside(folder);
         Ok(Self {
             folder: folder.into(),
             tracking: tracking.clone(),
             options: Box::new(options),
             wanted,
-            table: table_in(folder),
-            lens: None,
+            // What gives only a lens is no table.
+            table: begun(folder).or_else(|| table_in(folder).filter(|_| lens.is_none())),
+            ended: None,
+            lens,
             is_tracked: None,
             tracker,
+            is_deaf: false,
             said: None,
             sizes: Sizes::default(),
             known: BTreeSet::new(),
@@ -142,11 +159,33 @@ impl<'a> Live<'a> {
             waiting: vec![],
             left: BTreeMap::new(),
             is_settled: false,
+            is_closed: false,
             first: None,
             coverage: None,
             views: Views::default(),
             placed: vec![],
         })
+    }
+
+    /// The lens that a folder tells by itself, in a `frames.json`.
+    pub fn lens_in(folder: &Path) -> Option<Lens> {
+        lens_beside(folder)
+    }
+
+    /// Refuses a lens that shows too little to find a way with.
+    ///
+    /// # Errors
+    /// [`Error::Request`] for less than 2 degrees across or down.
+    pub fn require(lens: &Lens) -> Result<()> {
+        let side = |pixels: u32, focal: f64| 2.0 * (f64::from(pixels) / 2.0 / focal).atan().to_degrees();
+        let (across, down) = (side(lens.width, lens.fx), side(lens.height, lens.fy));
+        if across >= NARROWEST_DEG && down >= NARROWEST_DEG {
+            return Ok(());
+        }
+        Err(Error::request(
+            format!("a lens that sees {across:.2} by {down:.2} degrees shows too little to be led by"),
+            format!("turn without --live, or take a lens that sees at least {NARROWEST_DEG} degrees"),
+        ))
     }
 
     /// What was seen so far; `None` before the first photograph.
@@ -188,20 +227,29 @@ impl<'a> Live<'a> {
         self.is_settled
     }
 
+    /// Whether photographs are left out from now on that were not there when it was last asked: those that go on coming never settle.
+    pub fn close(&mut self, is_closed: bool) {
+        self.is_closed = is_closed;
+    }
+
     /// What has come since it was last asked. A photograph counts when it has not grown since the last time; of many some wait for the next look.
     ///
     /// # Errors
     /// [`Error::Io`], or [`Error::Input`] for records that cannot be used, a table with orientations although a tracker was described, or a lens for another
-    /// size of photographs.
+    /// size of photographs or one that [`Self::require`] refuses.
     pub fn look(&mut self) -> Result<Vec<Arrival>> {
         let mut told = vec![];
         self.find_table(&mut told);
+        self.find_tracker(&mut told);
         self.hear()?;
+        self.is_settled = true;
         let lines = self.lines(&mut told)?;
-        self.is_settled = lines.is_some();
         let started = Instant::now();
-        for line in lines.into_iter().flatten().filter(|line| line.path.exists()) {
+        for line in lines.into_iter().filter(|line| line.path.exists()) {
             let path = line.path.clone();
+            if self.is_closed && !self.sizes.was_there(&path) {
+                continue;
+            }
             let is_new = !self.known.contains(&path) && self.sizes.is_whole(&path);
             if is_new && started.elapsed() < ENOUGH {
                 self.receive(line, &mut told)?;
@@ -223,84 +271,6 @@ impl<'a> Live<'a> {
         Ok(told)
     }
 
-    /// Ends: gives the photographs that have a place, and tells which were left out and why. Writes `frames.csv` where nobody else has written a table, or
-    /// `frames-live.csv` beside one that lists nothing.
-    ///
-    /// # Errors
-    /// [`Error::Input`] where no photograph has a place, [`Error::Io`] where the table cannot be written, or what [`Shots::read_tracked`] refuses.
-    pub fn finish(mut self) -> Result<(Shots, Vec<String>)> {
-        let (there, gone): (Vec<Row>, Vec<Row>) =
-            std::mem::take(&mut self.placed).into_iter().partition(|row| row.path.exists());
-        self.placed = there;
-        self.left.extend(gone.into_iter().map(|row| (row.path, "it is not there any more".into())));
-        if self.placed.is_empty() {
-            return Err(Error::input(
-                &self.folder,
-                "holds no photograph whose direction is known",
-                "put photographs there while --live waits, with frames.csv, a tracker's records, or details that overlap",
-            ));
-        }
-        let others = self.table.take().or_else(|| begun(&self.folder));
-        let is_ours = others.is_none();
-        let table =
-            others.map_or_else(|| write(&self.folder, &mut self.placed, self.tracker.is_some()), Ok)?;
-        if let Some(other) = table_in(&self.folder).filter(|other| is_ours && *other != table) {
-            let why = format!(
-                "is of no use: it lists no photograph, or cannot be read; {} says how the camera was turned",
-                name(&table)
-            );
-            self.left.insert(other, why);
-        }
-        let Ended { frames, lens, wrong } = ended(&table)?;
-        self.left.remove(&table);
-        self.left.extend(wrong.map(|wrong| (table.clone(), wrong)));
-        let faults = self.faults(&frames, &table)?;
-        let placed: BTreeSet<PathBuf> = self.placed.iter().map(|row| row.path.clone()).collect();
-        let listed: BTreeSet<PathBuf> = frames.iter().map(|frame| self.folder.join(&frame.file)).collect();
-        let mut used = vec![];
-        for (frame, fault) in frames.into_iter().zip(faults) {
-            let path = self.folder.join(&frame.file);
-            match fault {
-                Some(fault) => drop(self.left.insert(path, fault)),
-                None if placed.contains(&path) => {
-                    self.left.remove(&path);
-                    used.push(frame);
-                }
-                None => {}
-            }
-        }
-        let all =
-            list(&self.folder)?.0.into_iter().chain(listed.iter().cloned()).chain(placed.iter().cloned());
-        for path in all.filter(|path| !(placed.contains(path) && listed.contains(path))) {
-            let why = if !is_ours && !listed.contains(&path) {
-                format!("{} does not list it", name(&table))
-            } else if !path.exists() {
-                "it is not there".into()
-            } else {
-                "it came too late".into()
-            };
-            self.left.entry(path).or_insert(why);
-        }
-        Ok((Shots::of((used, lens), &table, &self.tracking)?, notes(self.left)))
-    }
-
-    /// Somebody else's table may come later; then it counts from the beginning.
-    fn find_table(&mut self, told: &mut Vec<Arrival>) {
-        if self.table.is_some() {
-            return;
-        }
-        self.table = begun(&self.folder);
-        let Some(table) = self.table.as_ref().filter(|_| !self.known.is_empty()) else { return };
-        let why = "has come: it says how the camera was turned, and all photographs are placed anew";
-        told.push(Arrival { name: name(table), place: Err(why.into()) });
-        (self.first, self.coverage, self.views) = (None, None, Views::default());
-        self.known.clear();
-        self.refused.clear();
-        self.waiting.clear();
-        self.left.clear();
-        self.placed.clear();
-    }
-
     fn mount(&self) -> DQuat {
         world_from_camera(self.tracking.mount.unwrap_or(DQuat::IDENTITY))
     }
@@ -308,7 +278,7 @@ impl<'a> Live<'a> {
     /// Takes the tracker's new records.
     fn hear(&mut self) -> Result<()> {
         let Some((tail, filter)) = &mut self.tracker else { return Ok(()) };
-        for (time_s, turn) in tail.take()? {
+        for (time_s, turn) in tail.take().inspect_err(|_| self.is_deaf = true)? {
             // Who says exactly the same again is not alive: a tracker has noise.
             if self.said != Some(turn) {
                 filter.push(time_s, turn);
@@ -316,60 +286,6 @@ impl<'a> Live<'a> {
             }
         }
         Ok(())
-    }
-
-    /// The photographs that there are, in the order in which they were taken; `None` while the table is being written.
-    fn lines(&mut self, told: &mut Vec<Arrival>) -> Result<Option<Vec<Line>>> {
-        let Some(table) = self.table.clone() else {
-            return by_time(&self.folder, &self.known).map(Some);
-        };
-        if !self.sizes.is_whole(&table) {
-            return Ok(None);
-        }
-        let read = ended(&table);
-        let wrong = match &read {
-            Ok(ended) => ended.wrong.clone(),
-            Err(error) => Some(error.to_string()),
-        };
-        match wrong {
-            None => drop(self.left.remove(&table)),
-            // A writer may have stopped anywhere.
-            Some(wrong) if self.sizes.has_stayed(&table, 0) => self.leave(table.clone(), wrong, told),
-            Some(_) => {}
-        }
-        let Ok(Ended { frames, lens, .. }) = read else { return Ok(None) };
-        self.lens = lens;
-        let listed: BTreeSet<PathBuf> = frames.iter().map(|frame| self.folder.join(&frame.file)).collect();
-        for path in list(&self.folder)?.0 {
-            // Its line may be written after it.
-            if !listed.contains(&path) && !self.known.contains(&path) {
-                self.sizes.is_whole(&path);
-                if self.sizes.has_stayed(&path, 1) {
-                    self.leave(path, format!("{} does not list it", name(&table)), told);
-                }
-            }
-        }
-        let faults = self.faults(&frames, &table)?;
-        let is_tracked = self.is_tracked == Some(true);
-        let mut lines = vec![];
-        for (frame, fault) in frames.into_iter().zip(faults) {
-            let path = self.folder.join(&frame.file);
-            match fault {
-                Some(fault) => self.leave(path, fault, told),
-                None => lines.push(Line::of(path, &frame, is_tracked)),
-            }
-        }
-        Ok(Some(lines))
-    }
-
-    /// Of each line of the table what is wrong with it; its first lines settle what it says.
-    fn faults(&mut self, frames: &[Frame], table: &Path) -> Result<Vec<Option<String>>> {
-        let is_tracked = match self.is_tracked {
-            Some(is_tracked) => is_tracked,
-            None => is_tracked(frames, table, &self.tracking)?,
-        };
-        self.is_tracked = (!frames.is_empty()).then_some(is_tracked);
-        Ok(faults(frames, is_tracked, self.tracking.file.is_some(), table))
     }
 
     /// Tells what is wrong with a table, or why a photograph is left out as long as it is so.
@@ -419,6 +335,7 @@ impl<'a> Live<'a> {
             Some((_, lens)) => lens,
             None => {
                 let (lens, _) = lens_of(self.lens, &(self.options)(&line.path)?, &picture)?;
+                Self::require(&lens)?;
                 self.coverage = Some(Coverage::new(lens, self.wanted)?);
                 self.first = Some((size, lens));
                 lens

@@ -106,6 +106,119 @@ fn it_ends_by_itself_when_everything_wanted_was_seen() {
 }
 
 #[test]
+fn a_backlog_is_read_to_its_end_however_soon_ctrl_c_comes() {
+    let folder = tempfile::tempdir().unwrap();
+    let photos = folder.path().join("photos");
+    std::fs::create_dir(&photos).unwrap();
+    let (all, tour) = (tempfile::tempdir().unwrap(), Tour { photographs: 1, ..tour() });
+    tour.write(all.path()).unwrap();
+    // Large ones, as a camera's: reading all takes longer than what comes late is waited for.
+    let small = image::open(all.path().join("000.png")).unwrap().to_rgb8();
+    let large = image::imageops::resize(&small, 4800, 3600, image::imageops::FilterType::Nearest);
+    large.save(photos.join("000.jpg")).unwrap();
+    let count = 60;
+    let mut table = "file,qw,qx,qy,qz\n".to_owned();
+    for i in 0..count {
+        if i > 0 {
+            std::fs::hard_link(photos.join("000.jpg"), photos.join(format!("{i:03}.jpg"))).unwrap();
+        }
+        let half_rad = f64::from(i) * 0.05;
+        table += &format!("{i:03}.jpg,{},0,{},0\n", half_rad.cos(), half_rad.sin());
+    }
+    std::fs::write(photos.join("frames.csv"), table).unwrap();
+    let (mut child, mut lines) = start(folder.path(), &[]);
+    lines.until("waiting for photographs");
+    let ended = std::time::Instant::now();
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    lines.until(&format!("ended by Ctrl-C: {count} photographs"));
+    println!("{:.1} s", ended.elapsed().as_secs_f64());
+    child.kill().unwrap();
+    child.wait().unwrap();
+}
+
+#[test]
+fn a_picture_that_cannot_be_written_is_told_once_and_the_turning_goes_on() {
+    let (all, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    tour().write(all.path()).unwrap();
+    let (photos, out) = (folder.path().join("photos"), folder.path().join("out"));
+    std::fs::create_dir(&photos).unwrap();
+    std::fs::create_dir(&out).unwrap();
+    let (mut child, mut lines) = start(folder.path(), &["--out", "out/map.exr"]);
+    lines.until("waiting for photographs");
+    std::fs::remove_dir(&out).unwrap();
+    let mut said = 0;
+    for i in 0..3 {
+        let name = format!("{i:03}.png");
+        std::fs::copy(all.path().join(&name), photos.join(&name)).unwrap();
+        let mut line = lines.until("png");
+        if line.starts_with("note: ") {
+            assert!(line.contains("map-coverage.png") && i == 0, "{line}");
+            said += 1;
+            line = lines.until("png");
+        }
+        assert!(line.starts_with(&name), "{line}");
+    }
+    std::fs::create_dir(&out).unwrap();
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    assert!(!lines.until("ended by Ctrl-C: 3 photographs").contains("coverage"));
+    lines.until("wrote out/map.exr");
+    assert!(child.wait().unwrap().success() && said == 1);
+}
+
+#[test]
+fn records_that_break_off_end_the_turning_and_the_table_says_what_has_a_place() {
+    let (all, folder) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let tour = tour();
+    tour.write(all.path()).unwrap();
+    let photos = folder.path().join("photos");
+    std::fs::create_dir(&photos).unwrap();
+    let mut records = std::fs::read_to_string(all.path().join("tracker.jsonl")).unwrap();
+    std::fs::write(photos.join("tracker.jsonl"), &records).unwrap();
+    let (child, mut lines) = start(folder.path(), &[]);
+    for i in 0..3 {
+        let name = format!("{i:03}.png");
+        std::fs::copy(all.path().join(&name), photos.join(&name)).unwrap();
+        let taken = std::time::UNIX_EPOCH + std::time::Duration::from_secs_f64(1.7e9 + tour.times_s()[i]);
+        let photograph = std::fs::File::options().write(true).open(photos.join(&name)).unwrap();
+        photograph.set_modified(taken).unwrap();
+        lines.until(&format!("{name}: azimuth"));
+    }
+    records += "{\n";
+    std::fs::write(photos.join("tracker.jsonl"), &records).unwrap();
+    lines.until("3 photographs found a place");
+    let output = child.wait_with_output().unwrap();
+    assert_refused("torn records", &output, &["tracker.jsonl", "line"]);
+    let made = rigel(folder.path(), &[&["mosaic", "photos"], &SMALL[..]].concat()).output().unwrap();
+    let said = String::from_utf8_lossy(&made.stdout);
+    assert!(made.status.success() && said.contains(", 3 photographs"), "{said}");
+}
+
+#[test]
+fn what_is_wrong_with_the_lens_is_said_before_a_rig_is_looked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = |name: &str| folder.path().join(name);
+    for photos in ["empty", "lensless"] {
+        std::fs::create_dir(place(photos)).unwrap();
+    }
+    std::fs::write(place("lensless/frames.json"), r#"{"frames": []}"#).unwrap();
+    std::fs::write(place("torn.toml"), "f = ").unwrap();
+    let narrow = "f = 12000.0\ncx = 119.5\ncy = 89.5\nwidth = 240\nheight = 180\n";
+    std::fs::write(place("narrow.toml"), narrow).unwrap();
+    for (photos, lens, names) in [
+        ("empty", &["--fov", "300"][..], &["300", "2 to 170"][..]),
+        ("empty", &["--fov", "1.9"], &["1.9", "2 to 170"]),
+        ("empty", &["--lens", "none.toml"], &["none.toml"]),
+        ("empty", &["--lens", "torn.toml"], &["torn.toml"]),
+        ("empty", &["--lens", "narrow.toml"], &["1.15 by 0.86 degrees"]),
+        ("lensless", &[], &["lens", "--lens", "--fov", "intrinsics"]),
+    ] {
+        let arguments = [&["mosaic", photos, "--live", "--rig", "nowhere"], lens].concat();
+        let output = rigel(folder.path(), &arguments).output().unwrap();
+        assert_refused(&arguments.join(" "), &output, names);
+    }
+}
+
+#[test]
 fn what_cannot_be_followed_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::create_dir(folder.path().join("photos")).unwrap();

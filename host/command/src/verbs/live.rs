@@ -8,9 +8,10 @@ use rigel::capture::TrackerLog;
 use rigel::environment::{Coverage, Live, MEMORY_S, Next, Place, Pointing, Shots, Tracking, Wanted};
 use rigel::geometry::LatLong;
 use rigel::rig::{Format, Output, Tracking as Receivers};
+use rigel::view_file::Calibration;
 use rigel::{Error, Result};
 
-use crate::arguments::Mosaic;
+use crate::arguments::{Mosaic, Photographs};
 use crate::bench::greet_named;
 use crate::progress::{Line, interrupted, take_interrupt};
 use crate::say::{count_of, say};
@@ -59,9 +60,7 @@ pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Re
     // Before a rig is bothered.
     wanted.require()?;
     let photographs = &arguments.photographs;
-    if photographs.lens.is_none() && photographs.fov_deg.is_none() && !folder.join("frames.json").exists() {
-        return Err(Error::request("nothing tells the lens", "give --lens FILE or --fov DEGREES"));
-    }
+    require_lens(photographs, folder)?;
     let mut rig = arguments.rig.as_deref().map(greet_named).transpose()?;
     let mut log = None;
     if let Some((rig, _)) = &mut rig {
@@ -92,14 +91,17 @@ pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Re
     let line = Line::new();
     let mut next: Option<Next> = None;
     let mut looked = Instant::now();
-    let mut until = None;
-    let is_whole = loop {
+    let mut until = Instant::now() + REST;
+    let mut is_shown = true;
+    let ended = loop {
         // What came before that is still looked at.
         let is_ended = interrupted();
-        if let Some(log) = &mut log {
-            log.check()?;
-        }
-        let arrivals = live.look()?;
+        let is_written = log.as_mut().map_or(Ok(()), TrackerLog::check);
+        let arrivals = match is_written.and_then(|()| live.look()) {
+            Ok(arrivals) => arrivals,
+            Err(error) => break Err(error),
+        };
+        let has_news = !arrivals.is_empty();
         // After a table that came late all begins anew.
         if live.coverage().is_none() {
             next = None;
@@ -109,7 +111,11 @@ pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Re
             let words = match (arrival.place, live.coverage()) {
                 (Ok(place), Some(coverage)) if Some(i) == last => {
                     next = coverage.next();
-                    coverage.write_png(&picture, next.as_ref())?;
+                    let written = coverage.write_png(&picture, next.as_ref());
+                    if let Some(error) = written.as_ref().err().filter(|_| is_shown) {
+                        line.aside(|| say!("note: {error}; the turning goes on without this picture"));
+                    }
+                    is_shown = written.is_ok();
                     format!("{}; {}", told(&place), ahead(coverage, next.as_ref()))
                 }
                 (Ok(place), _) => told(&place),
@@ -121,13 +127,14 @@ pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Re
             line.show(&format!("{}: {}", pointed(now), way(now, next)));
         }
         let is_whole = live.coverage().is_some_and(Coverage::is_done);
-        if is_whole || is_ended {
-            let until: Instant = *until.get_or_insert(looked + REST);
-            if live.is_settled() || looked > until {
-                break is_whole;
-            }
-        } else {
-            until = None;
+        let is_over = is_whole || is_ended;
+        live.close(is_over);
+        // Of many each look reads some.
+        if has_news || !is_over {
+            until = Instant::now() + REST;
+        }
+        if is_over && (live.is_settled() || looked > until) {
+            break Ok(is_whole);
         }
         // What is due is looked at at even intervals.
         std::thread::sleep(LOOK.saturating_sub(looked.elapsed()));
@@ -135,8 +142,16 @@ pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Re
     };
     line.end();
     take_interrupt();
-    if let Some(log) = log {
-        say!("{} of the tracker", count_of(log.finish()? as usize, "record"));
+    let recorded = log.map(TrackerLog::finish).transpose();
+    let (is_whole, recorded) = match ended.and_then(|is_whole| Ok((is_whole, recorded?))) {
+        Ok(ended) => ended,
+        Err(error) => {
+            keep(live);
+            return Err(error);
+        }
+    };
+    if let Some(recorded) = recorded {
+        say!("{} of the tracker", count_of(recorded as usize, "record"));
     }
     let seen = live.coverage().map_or((0.0, 0.0), Coverage::seen);
     let (shots, notes) = live.finish()?;
@@ -144,14 +159,57 @@ pub(super) fn turn(arguments: &Mosaic, tracking: &Tracking, size: LatLong) -> Re
         say!("note: {note}");
     }
     say!(
-        "{}: {} with {:.1} % of the sphere, {:.1} % of what is wanted; {} shows it; now the map",
+        "{}: {} with {:.1} % of the sphere, {:.1} % of what is wanted; {}now the map",
         if is_whole { "everything wanted was seen" } else { "ended by Ctrl-C" },
         count_of(shots.shots.len(), "photograph"),
         100.0 * seen.0,
         100.0 * seen.1,
-        picture.display()
+        if is_shown { format!("{} shows it; ", picture.display()) } else { String::new() }
     );
     Ok(shots)
+}
+
+/// Refuses before a rig is bothered what no photograph could be turned by.
+fn require_lens(photographs: &Photographs, folder: &Path) -> Result<()> {
+    let beside = match (&photographs.lens, photographs.fov_deg) {
+        // Without the photographs' size, it is looked at with the first one.
+        (Some(file), _) => {
+            Some(Calibration::read(file, 0.0)?.lens(0, 0)).filter(|lens| lens.width > 0 && lens.height > 0)
+        }
+        (None, Some(fov_deg)) if (2.0..=170.0).contains(&fov_deg) => None,
+        (None, Some(fov_deg)) => {
+            return Err(Error::request(
+                format!("--live with a field of view of {fov_deg} degrees"),
+                "give the angle across the picture, from 2 to 170 degrees",
+            ));
+        }
+        (None, None) => Some(Live::lens_in(folder).ok_or_else(|| {
+            Error::request(
+                "nothing tells the lens",
+                "give --lens FILE, --fov DEGREES, or a frames.json with intrinsics",
+            )
+        })?),
+    };
+    beside.as_ref().map_or(Ok(()), Live::require)
+}
+
+/// What was found before something failed is not lost.
+fn keep(live: Live) {
+    if live.count() == 0 {
+        return;
+    }
+    match live.finish() {
+        Ok((shots, notes)) => {
+            for note in notes {
+                say!("note: {note}");
+            }
+            say!(
+                "{} found a place, which the table says: without --live it becomes the map, with --live all are placed anew",
+                count_of(shots.shots.len(), "photograph")
+            );
+        }
+        Err(error) => say!("note: {error}"),
+    }
 }
 
 /// Where a photograph was pointed.

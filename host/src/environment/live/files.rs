@@ -29,6 +29,11 @@ impl Sizes {
         before == Some(now)
     }
 
+    /// Whether a file was ever looked at.
+    pub fn was_there(&self, path: &Path) -> bool {
+        self.0.contains_key(path)
+    }
+
     /// Whether a file of at least so many bytes has not grown for long.
     pub fn has_stayed(&self, path: &Path, bytes: u64) -> bool {
         self.0.get(path).is_some_and(|((size, _), since)| *size >= bytes && since.elapsed() > BROKEN)

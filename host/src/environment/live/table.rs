@@ -1,20 +1,18 @@
 //! The table of photographs: somebody else's while it is written, or one's own at the end.
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
+use std::collections::BTreeMap;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use glam::DQuat;
 
+use super::ended::ended;
 use super::views::SUREST_RAD;
 use crate::camera::exif::{self, Exif};
-use crate::environment::shots::{Frame, TABLES, read_frames};
+use crate::environment::shots::TABLES;
 use crate::geometry::{Lens, world_from_camera};
 use crate::{Error, Result, file};
 
-/// One's own where somebody else's `frames.csv` lists nothing.
-const SECOND: &str = "frames-live.csv";
 /// The last column of one's own table, and what each of its lines has there.
 const OWN: [&str; 2] = ["by", "rigel"];
 
@@ -41,6 +39,11 @@ pub(super) fn begun(folder: &Path) -> Option<PathBuf> {
     tables(folder).find(|table| ended(table).is_ok_and(|ended| !ended.frames.is_empty()))
 }
 
+/// The lens that a `frames.json` beside photographs says.
+pub(super) fn lens_beside(folder: &Path) -> Option<Lens> {
+    ended(&folder.join(TABLES[0])).ok()?.lens
+}
+
 /// Whether an earlier [`write`] made a table, and nobody has added a line of another kind.
 fn is_own(table: &Path) -> bool {
     let Ok(mut csv) = csv::Reader::from_path(table) else { return false };
@@ -50,72 +53,8 @@ fn is_own(table: &Path) -> bool {
     is_marked && csv.into_records().all(has_mark)
 }
 
-/// The ended lines of a table.
-pub(super) struct Ended {
-    /// Each photograph once.
-    pub frames: Vec<Frame>,
-    pub lens: Option<Lens>,
-    /// What is wrong with it as a whole.
-    pub wrong: Option<String>,
-}
-
-/// Reads the ended lines of a table.
-pub(super) fn ended(table: &Path) -> Result<Ended> {
-    let text = fs::read_to_string(table).map_err(Error::io("read", table))?;
-    let has_lines = table.extension().is_some_and(|kind| kind == "csv");
-    let end = if has_lines { text.rfind('\n').map_or(0, |at| at + 1) } else { text.len() };
-    let (mut frames, lens) = read_frames(table, &text[..end])?;
-    let (mut files, mut wrong) = (BTreeSet::new(), vec![]);
-    if frames.is_empty() {
-        wrong.push("lists no photograph yet".to_owned());
-    }
-    frames.retain(|frame| {
-        let is_first = files.insert(frame.file.clone());
-        if !is_first {
-            wrong.push(format!("lists {} twice: its first line counts", frame.file.display()));
-        }
-        is_first
-    });
-    if end < text.len() {
-        wrong.push("what follows its last line break is left out, as it may be half written".into());
-    }
-    Ok(Ended { frames, lens, wrong: (!wrong.is_empty()).then(|| wrong.join("; ")) })
-}
-
-/// Of each line of a table what is wrong with it, beside those before it; `is_tracked` by times, `has_records` where turns do not count.
-pub(super) fn faults<'a>(
-    frames: &'a [Frame],
-    is_tracked: bool,
-    has_records: bool,
-    table: &Path,
-) -> Vec<Option<String>> {
-    let table = name(table);
-    let mut last: Option<(f64, &'a Path)> = None;
-    let mut fault = |frame: &'a Frame| {
-        if let Some(fault) = frame.fault() {
-            return Some(format!("{table} has for it {fault}: give a positive number, or leave it out"));
-        }
-        if !is_tracked {
-            return None;
-        }
-        if !has_records && frame.orientation().is_some() {
-            return Some(format!("{table} says how it was turned, of those before only when"));
-        }
-        let time_s = frame.time_s.filter(|time_s| time_s.is_finite())?;
-        if let Some((last_s, before)) = last.filter(|(last_s, _)| *last_s > time_s) {
-            let (by_s, before) = (last_s - time_s, before.display());
-            return Some(format!(
-                "{table} has it at {time_s:.4} s, {by_s:.4} s earlier than {before} before it"
-            ));
-        }
-        last = Some((time_s, &frame.file));
-        None
-    };
-    frames.iter().map(&mut fault).collect()
-}
-
 /// Writes `frames.csv` in the order of time, with times on the tracker's clock or with turns, and the exposures that all photographs state;
-/// `frames-live.csv` where somebody else's is there. One's own of an earlier session is replaced.
+/// `frames-live.csv` (or with a number) where somebody else's is there. One's own of an earlier session is replaced.
 ///
 /// # Errors
 /// [`Error::Io`].
@@ -123,8 +62,8 @@ pub(super) fn write(folder: &Path, rows: &mut [Row], is_timed: bool) -> Result<P
     rows.sort_by(|a, b| {
         a.time_s.unwrap_or(0.0).total_cmp(&b.time_s.unwrap_or(0.0)).then_with(|| a.path.cmp(&b.path))
     });
-    let path = folder.join(TABLES[1]);
-    let failed = |error: csv::Error| Error::io("write", &path)(error.into());
+    let mut path = folder.join(TABLES[1]);
+    let failed = |error: csv::Error| Error::io("write", folder)(error.into());
     let head: &[&str] =
         if is_timed { &["file", "time_s"] } else { &["file", "qw", "qx", "qy", "qz", "sigma_deg"] };
     let stated = exposures(rows)?;
@@ -145,16 +84,20 @@ pub(super) fn write(folder: &Path, rows: &mut [Row], is_timed: bool) -> Result<P
         line.push(OWN[1].into());
         csv.write_record(line).map_err(failed)?;
     }
-    let csv = csv.into_inner().map_err(|error| Error::io("write", &path)(error.into_error()))?;
-    if is_own(&path) {
-        return file::write_bytes(&path, &csv).map(|()| path);
-    }
-    match file::write_new(&path, &csv) {
-        Err(Error::Io { source, .. }) if source.kind() == ErrorKind::AlreadyExists => {
-            let path = folder.join(SECOND);
-            file::write_bytes(&path, &csv).map(|()| path)
+    let csv = csv.into_inner().map_err(|error| Error::io("write", folder)(error.into_error()))?;
+    let mut tried = 1;
+    loop {
+        if is_own(&path) {
+            return file::write_bytes(&path, &csv).map(|()| path);
         }
-        written => written.map(|()| path),
+        match file::write_new(&path, &csv) {
+            Err(Error::Io { source, .. }) if source.kind() == ErrorKind::AlreadyExists => {
+                let number = if tried > 1 { format!("-{tried}") } else { String::new() };
+                path = folder.join(format!("frames-live{number}.csv"));
+                tried += 1;
+            }
+            written => return written.map(|()| path),
+        }
     }
 }
 
