@@ -15,7 +15,7 @@ use rigel_simulated::tour::{Fault, Tour, apart};
 
 use crate::figures::{figure, marks_and_line, raw, rms, table};
 use crate::machine::cpu_seconds;
-use crate::table::Table;
+use crate::table::{Table, broken};
 
 /// Sessions for each setting; more make it slow.
 const SEEDS: u64 = 1;
@@ -145,7 +145,7 @@ pub fn sweep(folder: &Path, report: &mut Report, progress: &dyn Progress) -> Res
                 ]);
             }
         }
-        let states = |index: usize, most: f64| broken(&series[index].0, most, sweep.values);
+        let states = |index: usize, most: f64| broken(&series[index].0, most, sweep.values.iter().copied());
         breaks.row(vec![sweep.label.into(), states(1, 1.0), states(2, BAR_DEG)]);
         let mut drawn: Vec<Series> = METHODS
             .into_iter()
@@ -243,18 +243,6 @@ fn said(records: &[(f64, DQuat)], time_s: f64) -> DQuat {
     world_from_camera(from.1 * DQuat::from_scaled_axis(rotation_vector(from.1.inverse() * to.1) * part))
 }
 
-/// The first value beyond which a method stays worse than `most_deg`, in words.
-fn broken(points: &[(f64, f64)], most_deg: f64, values: &[f64]) -> String {
-    let is_good = |value: &f64| points.iter().any(|(x, error)| x == value && *error <= most_deg);
-    match (values.iter().position(is_good), values.iter().rposition(is_good)) {
-        (None, _) | (_, None) => "everywhere".into(),
-        (Some(0), Some(last)) if last + 1 == values.len() => "nowhere".into(),
-        (Some(0), Some(last)) => format!("from {} on", values[last + 1]),
-        (Some(first), Some(last)) if last + 1 == values.len() => format!("up to {}", values[first - 1]),
-        (Some(first), Some(last)) => format!("up to {}, from {} on", values[first - 1], values[last + 1]),
-    }
-}
-
 /// Time against error for numbers of photographs.
 fn speed(folder: &Path, report: &mut Report) -> Result<()> {
     let mut points = vec![];
@@ -327,18 +315,6 @@ fn faults(folder: &Path, report: &mut Report, step: &mut dyn FnMut() -> Result<(
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_break_is_where_the_error_stays_high() {
-        let values = [1.0, 2.0, 3.0];
-        let at =
-            |errors: [f64; 3]| broken(&[(1.0, errors[0]), (2.0, errors[1]), (3.0, errors[2])], 1.0, &values);
-        assert_eq!(at([0.1, 0.1, 0.1]), "nowhere");
-        assert_eq!(at([0.1, 9.0, 9.0]), "from 2 on");
-        assert_eq!(at([9.0, 0.1, 0.1]), "up to 1");
-        assert_eq!(at([9.0, 9.0, 9.0]), "everywhere");
-        assert_eq!(broken(&[(3.0, 0.1)], 1.0, &values), "up to 2");
-    }
 
     #[test]
     fn photographs_follow_from_their_overlap() {

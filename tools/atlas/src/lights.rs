@@ -30,8 +30,15 @@ const METHODS: [(&str, Method); 4] = [
 /// What finding lights, drawing or writing reports.
 pub fn sweep(folder: &Path, report: &mut Report, progress: &dyn Progress) -> Result<()> {
     let map = room()?;
-    let mut figures =
-        Table::new(&["method", "lights", "order_of_rest", "open_error_percent", "error_percent", "cpu_ms"]);
+    let mut figures = Table::new(&[
+        "method",
+        "allowed",
+        "lights",
+        "order_of_rest",
+        "open_error_percent",
+        "error_percent",
+        "cpu_ms",
+    ]);
     let (mut open, mut behind, mut points) = (vec![], vec![], vec![]);
     report.heading("Lights: irradiance from a few of them");
     report.text(
@@ -48,6 +55,7 @@ pub fn sweep(folder: &Path, report: &mut Report, progress: &dyn Progress) -> Res
             let Lights { lights, remainder, error, open_error, .. } = found?;
             figures.row(vec![
                 name.to_owned(),
+                count.to_string(),
                 lights.len().to_string(),
                 remainder.order().to_string(),
                 format!("{:.3}", 100.0 * open_error),
@@ -67,7 +75,7 @@ pub fn sweep(folder: &Path, report: &mut Report, progress: &dyn Progress) -> Res
             all.push(Series { name: name.to_owned(), points, drawn: Drawn::Line });
         }
     }
-    let count = Axis { label: "lights", logarithmic: true };
+    let count = Axis { label: "lights allowed", logarithmic: true };
     let error = Axis { label: "error of the irradiance, percent", logarithmic: true };
     let caption = "Nothing hidden. A quadratic rest lets a few lights do; without any rest median cut spends its lights on the walls.";
     figure(folder, report, "lights_open", chart::lines(&open, (count, error))?, caption)?;

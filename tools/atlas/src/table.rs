@@ -7,6 +7,23 @@ use rigel::{Result, file};
 
 use crate::machine;
 
+/// The values at which something is worse than `most`, in words; `points` are value and error, one that was refused is worse.
+pub fn broken(points: &[(f64, f64)], most: f64, values: impl Iterator<Item = f64>) -> String {
+    let is_good = |value: f64| points.iter().any(|(x, error)| *x == value && *error <= most);
+    let states: Vec<(f64, bool)> = values.map(|value| (value, is_good(value))).collect();
+    let last = states.last().map(|state| state.0);
+    let runs = states.chunk_by(|a, b| a.1 == b.1).filter(|run| !run[0].1);
+    let told = runs.map(|run| match (run[0].0, run[run.len() - 1].0) {
+        (from, to) if from == states[0].0 && Some(to) == last => "everywhere".into(),
+        (from, to) if from == states[0].0 => format!("up to {to}"),
+        (from, to) if Some(to) == last => format!("from {from} on"),
+        (from, to) if from == to => format!("at {from}"),
+        (from, to) => format!("{from} to {to}"),
+    });
+    let told: Vec<String> = told.collect();
+    if told.is_empty() { "nowhere".into() } else { told.join(", ") }
+}
+
 /// Rows of one sweep, written as CSV with the machine and the versions in front.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Table {
@@ -65,4 +82,27 @@ pub fn refused_row(columns: usize, start: &[&str], why: String) -> Vec<String> {
     row.resize(columns - 1, "-".into());
     row.push(why);
     row
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_break_is_every_value_where_the_error_is_high() {
+        let values = [1.0, 2.0, 3.0, 4.0];
+        let at = |errors: [f64; 4]| {
+            let points: Vec<(f64, f64)> = values.into_iter().zip(errors).collect();
+            broken(&points, 1.0, values.into_iter())
+        };
+        assert_eq!(at([0.1, 0.1, 0.1, 1.0]), "nowhere");
+        assert_eq!(at([0.1, 9.0, 9.0, 9.0]), "from 2 on");
+        assert_eq!(at([9.0, 0.1, 0.1, 0.1]), "up to 1");
+        assert_eq!(at([9.0, 9.0, 0.1, f64::NAN]), "up to 2, from 4 on");
+        assert_eq!(at([9.0; 4]), "everywhere");
+        // Not hidden by a lucky value beyond.
+        assert_eq!(at([0.1, 9.0, 9.0, 0.1]), "2 to 3");
+        assert_eq!(at([0.1, 9.0, 0.1, 9.0]), "at 2, from 4 on");
+        assert_eq!(broken(&[(3.0, 0.1)], 1.0, values.into_iter()), "up to 2, from 4 on");
+    }
 }

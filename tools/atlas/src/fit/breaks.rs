@@ -12,7 +12,7 @@ use rigel::report::Report;
 use super::texels::{Doubt, Truth, directions, lobes};
 use super::{AUTO, Done, ZENITH_RAD, fit, observe_all};
 use crate::figures::{figure, table};
-use crate::table::Table;
+use crate::table::{Table, broken};
 
 /// Models whose breaks are looked for.
 const MODELS: [&str; 6] = ["constant", "phong", "phong2", "log-quadratic", "msh36", AUTO];
@@ -192,7 +192,9 @@ pub fn sweep(folder: &Path, report: &mut Report, step: &dyn Fn(usize) -> Result<
             }
         }
         let mut row = vec![sweep.label.to_owned()];
-        row.extend(series.iter().map(|series| broken(&series.points, sweep.values)));
+        row.extend(series.iter().map(|series| {
+            broken(&series.points, 100.0 * BROKEN, sweep.values.iter().map(|value| f64::from(*value)))
+        }));
         breaks.row(row);
         // The break as a line of its own.
         let ends = [sweep.values[0], sweep.values[sweep.values.len() - 1]];
@@ -209,38 +211,6 @@ pub fn sweep(folder: &Path, report: &mut Report, step: &dyn Fn(usize) -> Result<
         let name = format!("fit_break_{}", sweep.name);
         figure(folder, report, &name, chart::lines(&series, axes)?, sweep.label)?;
     }
-    table(folder, report, "fit_breaks", &breaks, "Where each model breaks, from the easiest value on.")?;
+    table(folder, report, "fit_breaks", &breaks, "Where each model breaks.")?;
     raw.write(&folder.join("fit_break_raw.csv"))
-}
-
-/// The first value from the easy end beyond which a model is always broken, in words.
-fn broken(points: &[(f64, f64)], values: &[f32]) -> String {
-    let is_broken = |value: f32| {
-        let found = points.iter().find(|(x, _)| *x == f64::from(value));
-        found.is_none_or(|(_, error)| *error > 100.0 * BROKEN)
-    };
-    let states: Vec<bool> = values.iter().map(|value| is_broken(*value)).collect();
-    match (states.iter().position(|broken| !broken), states.iter().rposition(|broken| !broken)) {
-        (None, _) | (_, None) => "everywhere".into(),
-        (Some(0), Some(last)) if last + 1 == values.len() => "nowhere".into(),
-        (Some(0), Some(last)) => format!("from {} on", values[last + 1]),
-        (Some(first), Some(last)) if last + 1 == values.len() => format!("up to {}", values[first - 1]),
-        (Some(first), Some(last)) => format!("up to {}, from {} on", values[first - 1], values[last + 1]),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_break_is_where_the_error_stays_high() {
-        let values = [1.0, 2.0, 3.0];
-        let at = |errors: [f64; 3]| broken(&[(1.0, errors[0]), (2.0, errors[1]), (3.0, errors[2])], &values);
-        assert_eq!(at([1.0, 1.0, 1.0]), "nowhere");
-        assert_eq!(at([1.0, 9.0, 9.0]), "from 2 on");
-        assert_eq!(at([9.0, 1.0, 1.0]), "up to 1");
-        assert_eq!(at([9.0, 9.0, 9.0]), "everywhere");
-        assert_eq!(broken(&[(3.0, 1.0)], &values), "up to 2");
-    }
 }
