@@ -16,6 +16,7 @@ use crate::observation::{ObservationMap, exr_file, zarr};
 use crate::parameter_map::ParameterMap;
 use crate::radiance::{RadianceImage, Response};
 use crate::session::Session;
+use crate::splats;
 use crate::{Error, Result};
 
 /// What kind of file it is.
@@ -110,8 +111,11 @@ pub fn info(path: &Path) -> Result<Info> {
     }
     if text.starts_with("ply\n") && text.contains("f_rest_44") {
         let count = text.lines().find_map(|line| line.strip_prefix("element vertex ")).unwrap_or("?");
-        let by =
-            if text.contains("comment made by Rigel") { "rigel export --splats" } else { "another program" };
+        let is_ours = text.contains("comment made by Rigel");
+        if is_ours && splats::length(&start) != Some(length) {
+            return Err(Error::input(path, "holds splats and was cut short, or changed", "export it again"));
+        }
+        let by = if is_ours { "rigel export --splats" } else { "another program" };
         return found(
             Kind::Splats,
             "Gaussian splats",

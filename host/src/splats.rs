@@ -254,11 +254,21 @@ impl Grid {
     }
 }
 
+/// How long a file is that begins so, bytes.
+pub(crate) fn length(start: &[u8]) -> Option<u64> {
+    let said = std::str::from_utf8(&start[..start_of_records(start)?]).ok()?;
+    let count: u64 = said.lines().find_map(|line| line.strip_prefix("element vertex "))?.parse().ok()?;
+    (said.len() as u64).checked_add(count.checked_mul(RECORD as u64)?)
+}
+
+fn start_of_records(ply: &[u8]) -> Option<usize> {
+    let end = b"end_header\n";
+    Some(ply.windows(end.len()).position(|bytes| bytes == end)? + end.len())
+}
+
 /// Columns, rows and levels of the splats that [`splats()`] wrote, as seen from straight above, each for itself; `None` for others.
 pub(crate) fn front(ply: &[u8]) -> Option<(u32, u32, Vec<[u8; 3]>)> {
-    let end = b"end_header\n";
-    let start = ply.windows(end.len()).position(|bytes| bytes == end)? + end.len();
-    let (said, records) = ply.split_at(start);
+    let (said, records) = ply.split_at(start_of_records(ply)?);
     let (records, rest) = records.as_chunks::<RECORD>();
     if said != header(records.len()).as_bytes() || !rest.is_empty() {
         return None;

@@ -217,6 +217,16 @@ impl LensFile {
                 ));
             }
         }
+        for (name, at, side) in [("cx", cx, self.width), ("cy", cy, self.height)] {
+            let most = f64::from(side.unwrap_or(MOST_PIXELS));
+            if at < -most || at > 2.0 * most {
+                return Err(Error::input(
+                    path,
+                    format!("{name} is {at}, far beside a picture of {most} pixels"),
+                    "write where the lens's axis meets the picture, in pixels",
+                ));
+            }
+        }
         self.fx = self.fx.or(self.f);
         self.fy = self.fy.or(self.f);
         self.cx -= pixel_centre;

@@ -413,3 +413,47 @@ fn without_exposures_or_overlap_it_is_refused() {
     let message = made(&map(|_| true), &shots, false).err().unwrap().to_string();
     assert!(message.contains("2.png") && message.contains("; "), "{message}");
 }
+
+#[test]
+fn photographs_of_another_part_of_the_room_fit_nowhere() {
+    let folder = tempfile::tempdir().unwrap();
+    let whole = map(|_| true);
+    for turned_deg in [25.0f64, 60.0, 140.0] {
+        let turn = DQuat::from_rotation_y(turned_deg.to_radians());
+        let shots = photographs(folder.path(), |d| [wall(turn * d); 3], 0.0);
+        let refused = made(&whole, &shots, true).map(|made| (made.turned_rad, made.replaced));
+        let error = refused.unwrap_err().to_string();
+        assert!(error.contains("fit the map nowhere"), "{turned_deg}: {error}");
+    }
+}
+
+/// A camera whose white balance moves from photograph to photograph, with a white sky at the end of its curve.
+#[test]
+fn photographs_of_which_a_map_was_made_change_next_to_nothing_of_it() {
+    let Some(folder) = rigel_tests::data("panorama/durlach_hugin") else { return };
+    let all = Shots::read(&folder).unwrap();
+    let options = Options::new(LatLong::new(1024, 512).unwrap());
+    let whole = mosaic(&all, &options, &Silent).unwrap().map;
+    for first in [3, 7, 11, 15, 19] {
+        let some = Shots { shots: all.shots[first..first + 4].to_vec(), ..all.clone() };
+        let made = update(&whole, &some, &options, 0.02, &Silent).unwrap();
+        println!(
+            "{}: {:?} ± {:?}, {:.4} replaced, {:.4} doubted",
+            some.shots[0].name(),
+            made.factor,
+            made.sigma,
+            made.replaced,
+            made.doubted
+        );
+        assert!(!made.is_changed, "{:?} ± {:?}", made.factor, made.sigma);
+        let bounds = |map: &EnvironmentMap| map.share(EnvironmentMap::LOWER_BOUND);
+        assert!(bounds(&made.map) < bounds(&whole) + 0.002, "{}", bounds(&made.map));
+        // Turned away, they are those of another place.
+        let mut away = some.clone();
+        for shot in &mut away.shots {
+            shot.world_from_camera = DQuat::from_rotation_y(1.4) * shot.world_from_camera;
+        }
+        let refused = update(&whole, &away, &options, 0.02, &Silent).map(|made| made.turned_rad);
+        assert!(refused.unwrap_err().to_string().contains("fit the map nowhere"));
+    }
+}

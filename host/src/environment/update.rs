@@ -24,6 +24,8 @@ const ROWS: usize = 90;
 const FEWEST: usize = 20;
 /// A cell has changed by itself where it is off by this factor after the light's own change, and by three times as much as most are.
 const CHANGED: f64 = 1.25;
+/// What saturates photographs at more than so many times the map's radiance was switched on.
+const SWITCHED_ON: f64 = 4.0;
 /// A change counts from so many standard deviations on.
 const SIGMAS: f64 = 3.0;
 /// Lamps are looked for no farther around than photographs can be off for, radians.
@@ -48,6 +50,8 @@ pub struct Updated {
     pub replaced: f64,
     /// The part that was not seen or was a lower bound before, and is measured now.
     pub gained: f64,
+    /// The part that the map knows and that saturated every new photograph, by no more than four times the map's radiance: it stays.
+    pub doubted: f64,
     /// What has become of each lamp of the map.
     pub lamps: Vec<Lamp>,
     /// How far the new photographs were turned to fit the map, radians.
@@ -114,9 +118,15 @@ pub fn update(
             new = Mosaic { notes: new.notes, tracker: new.tracker, ..placed };
         }
     }
-    // All gains together may be off by what the stated exposures are.
+    // All gains together may be off by what the stated exposures are, and a colour by what the camera's white balance moved it from
+    // photograph to photograph.
     let count = new.placed.len().max(1) as f64;
     let scale_sigma = (new.placed.iter().map(|placed| placed.gain_sigma.powi(2)).sum::<f64>() / count).sqrt();
+    let balance = |c: usize| {
+        let moved = new.placed.iter().map(|placed| (placed.gain[c] / placed.gain[1]).ln());
+        moved.map(|moved| moved * moved).sum::<f64>().sqrt() / count
+    };
+    let scale_sigma = [0, 1, 2].map(|c| scale_sigma.hypot(balance(c)));
     compare(map, new, threshold, (scale_sigma, turned), progress)
 }
 
@@ -133,7 +143,7 @@ fn compare(
     map: &EnvironmentMap,
     new: Mosaic,
     threshold: f64,
-    (scale_sigma, turned): (f64, Turn),
+    (scale_sigma, turned): ([f64; 3], Turn),
     progress: &dyn Progress,
 ) -> Result<Updated> {
     let (size, now) = (map.size, &new.map);
@@ -191,7 +201,8 @@ fn compare(
     let logs = [0, 1, 2].map(|c| median(&mut known.iter().map(|&i| (of(i, c), cells[i].angle))));
     let spread = [0, 1, 2]
         .map(|c| 1.4826 * median(&mut known.iter().map(|&i| ((of(i, c) - logs[c]).abs(), cells[i].angle))));
-    let sigma = spread.map(|spread| scale_sigma.hypot(1.2533 * spread / (known.len() as f64 / ALIKE).sqrt()));
+    let of_all = 1.2533 / (known.len() as f64 / ALIKE).sqrt();
+    let sigma = [0, 1, 2].map(|c| scale_sigma[c].hypot(of_all * spread[c]));
     let is_changed = (0..3).any(|c| logs[c].abs() > (1.0 + threshold).ln().max(SIGMAS * sigma[c]));
     let factor = logs.map(f64::exp);
     let rest = if is_changed { factor } else { [1.0; 3] };
@@ -213,17 +224,22 @@ fn compare(
             })
         })
         .collect();
-    let (mut replaced, mut gained) = (0.0, 0.0);
+    let (mut replaced, mut gained, mut doubted) = (0.0, 0.0, 0.0);
     let sum = |pixel: [f32; 3]| f64::from(pixel.iter().sum::<f32>());
     for i in 0..size.count() {
-        // Photographs that are saturated still say that it is brighter than before: a lamp that was switched on.
-        let is_bound = flag(now, i) == EnvironmentMap::LOWER_BOUND
-            && flag(map, i) & EnvironmentMap::LOWER_BOUND == 0
-            && sum(now.radiance[i]) > CHANGED * sum(out.radiance[i]);
+        let angle = size.solid_angle(i / size.width()) / sphere;
+        // Photographs that are saturated still say that it is brighter than before: a lamp that was switched on. What is hardly brighter may as
+        // well be the end of the camera's curve.
+        let is_saturated =
+            flag(now, i) == EnvironmentMap::LOWER_BOUND && flag(map, i) & EnvironmentMap::LOWER_BOUND == 0;
+        let brighter = sum(now.radiance[i]) / sum(out.radiance[i]);
+        let is_bound = is_saturated && (flag(map, i) != 0 || brighter > SWITCHED_ON);
+        if is_saturated && !is_bound && brighter > CHANGED {
+            doubted += angle;
+        }
         if flag(now, i) != 0 && !is_bound {
             continue;
         }
-        let angle = size.solid_angle(i / size.width()) / sphere;
         let was_unknown = flag(map, i) != 0;
         if was_unknown {
             gained += angle;
@@ -251,6 +267,7 @@ fn compare(
         overlap,
         replaced,
         gained,
+        doubted,
         turned_rad: turned.turn.to_scaled_axis().length(),
         turned_sigma_rad: turned.sigma_rad,
         new,

@@ -65,6 +65,12 @@ pub fn update(arguments: &Update) -> Result<()> {
             }
         );
     }
+    if made.doubted > 5e-4 {
+        say!(
+            "note: {:.1} % of the sphere saturated every photograph, though the map knows them darker; the map stands there: a shorter exposure would tell",
+            100.0 * made.doubted
+        );
+    }
     made.map.write(&arguments.out)?;
     say!(
         "wrote {}: {}, {}, show {:.1} % of the sphere that were known; {:.1} % look different and were replaced, {:.1} % are new",

@@ -29,6 +29,17 @@ impl Live<'_> {
         }
         let others = self.table.take().or_else(|| begun(&self.folder));
         let is_ours = others.is_none();
+        // The table of an earlier session is worth more.
+        if is_ours && self.placed.len() < 2 {
+            return Err(Error::input(
+                &self.folder,
+                format!(
+                    "holds one photograph that has a place, {}, and no other that overlaps it",
+                    self.placed[0].path.display()
+                ),
+                "take more between it and the others, and check the lens (--lens, --fov): a wrong one lets none fit",
+            ));
+        }
         if is_ours && self.is_deaf {
             // Records that cannot be read to their end place nothing: the turns that they told so far do.
             self.tracker = None;

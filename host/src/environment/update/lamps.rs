@@ -170,7 +170,7 @@ impl Lamps {
         &self,
         (map, now): (&EnvironmentMap, &EnvironmentMap),
         (rest, rest_sigma): ([f64; 3], [f64; 3]),
-        (scale_sigma, unsure_rad, threshold): (f64, f64, f64),
+        (scale_sigma, unsure_rad, threshold): ([f64; 3], f64, f64),
     ) -> Vec<Lamp> {
         let size = map.size;
         let flag = |map: &EnvironmentMap, i: usize| map.flags.get(i).copied().unwrap_or(0);
@@ -249,7 +249,8 @@ impl Lamps {
                 let off = (factor[c] / rest[c]).ln().abs();
                 off > (1.0 + threshold).ln().max(SIGMAS * own[c])
             });
-            Lamp { factor: Some((factor, own.map(|own| own.hypot(scale_sigma)))), is_own, ..none }
+            let sigma = [0, 1, 2].map(|c| own[c].hypot(scale_sigma[c]));
+            Lamp { factor: Some((factor, sigma)), is_own, ..none }
         };
         self.found.par_iter().zip(&members).map(lamp).collect()
     }

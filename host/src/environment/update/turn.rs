@@ -19,6 +19,11 @@ const FEWEST: usize = 100;
 const EVEN: f64 = 1e-3;
 /// Neighbouring directions show the same things: so many are one observation, and more where they lie closer than the map's blocks.
 const ALIKE: f64 = 4.0;
+/// Rows of the maps by which it is judged whether they show the same, what counts as a detail of the brightness's logarithm, and from how far
+/// off another turn is another place, degrees.
+const JUDGED: usize = 128;
+const DETAIL: f64 = 0.1;
+const ELSEWHERE_DEG: u32 = 10;
 /// No block is placed better than to this part of it.
 const PART: f64 = 0.1;
 
@@ -37,6 +42,15 @@ pub(super) struct Turn {
 pub(super) fn turn_to(map: &EnvironmentMap, new: &EnvironmentMap) -> Result<Turn> {
     let mut found = Turn { turn: DQuat::IDENTITY, sigma_rad: None };
     let finest = map.size.height();
+    let nowhere = || {
+        Error::request(
+            format!(
+                "the photographs fit the map nowhere within {:.1} degrees of where their orientations put them",
+                FURTHEST_RAD.to_degrees()
+            ),
+            "check the orientations and the lens, or take both as they are with --no-refine",
+        )
+    };
     for rows in [finest.min(64), 128, 256, 512, 1024].into_iter().filter(|rows| *rows <= finest) {
         let (old, now) = (Small::new(map, rows), Small::new(new, rows));
         let step = std::f64::consts::PI / rows as f64;
@@ -47,20 +61,61 @@ pub(super) fn turn_to(map: &EnvironmentMap, new: &EnvironmentMap) -> Result<Turn
             }
             found = Turn { turn: (DQuat::from_scaled_axis(by) * found.turn).normalize(), sigma_rad };
             if found.turn.to_scaled_axis().length() > FURTHEST_RAD {
-                return Err(Error::request(
-                    format!(
-                        "the photographs fit the map nowhere within {:.1} degrees of where their orientations put them",
-                        FURTHEST_RAD.to_degrees()
-                    ),
-                    "check the orientations and the lens, or take both as they are with --no-refine",
-                ));
+                return Err(nowhere());
             }
             if by.length() < 0.01 * step {
                 break;
             }
         }
     }
-    Ok(found)
+    let rows = finest.min(JUDGED);
+    match found.sigma_rad.and_then(|_| unlike(&Small::new(map, rows), &Small::new(new, rows), found.turn)) {
+        // It fits better elsewhere.
+        Some(unlike) if unlike > 1.0 => Err(nowhere()),
+        _ => Ok(found),
+    }
+}
+
+/// How far the two differ where the new one has details, by how far they would where they fit best after another turn about the vertical:
+/// medians, so that lamps that were switched do not count. Of the same place 0.64 at most
+/// (a tour of real photographs), of another 1.5 and more. `None` where nothing can be compared.
+fn unlike(old: &Small, now: &Small, turn: DQuat) -> Option<f64> {
+    let step = std::f64::consts::PI / old.map.size.height() as f64;
+    let detail = |direction: DVec3| {
+        let (aside, up) = direction.any_orthonormal_pair();
+        let change = |way: DVec3| Some(now.at(direction + step * way)? - now.at(direction - step * way)?);
+        // Noise is none, and a lamp's edge no more than one.
+        let weight = (change(aside)?.hypot(change(up)?) / DETAIL).powi(2).min(1.0);
+        Some((direction, now.at(direction)?, weight))
+    };
+    let details: Vec<(DVec3, f64, f64)> =
+        (0..DIRECTIONS).into_par_iter().filter_map(|i| detail(evenly(i, DIRECTIONS))).collect();
+    let median = |mut values: Vec<(f64, f64)>| {
+        values.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let (half, mut below) = (0.5 * values.iter().map(|(_, weight)| weight).sum::<f64>(), 0.0);
+        let middle = values.iter().find(|(_, weight)| {
+            below += weight;
+            below >= half
+        });
+        middle.map(|(value, _)| *value)
+    };
+    // How far apart, and how much was compared.
+    let apart = |turn: DQuat| {
+        let off = |(direction, here, weight): &(DVec3, f64, f64)| {
+            Some((here - old.at(turn * *direction)?, *weight))
+        };
+        let mut off: Vec<(f64, f64)> = details.iter().filter_map(off).collect();
+        let compared: f64 = off.iter().map(|(_, weight)| weight).sum();
+        let middle = median(off.clone())?;
+        off.iter_mut().for_each(|off| off.0 = (off.0 - middle).abs());
+        Some((median(off)?, compared))
+    };
+    let (here, compared) = apart(turn)?;
+    let elsewhere = (ELSEWHERE_DEG..=360 - ELSEWHERE_DEG).into_par_iter().filter_map(|degrees| {
+        let (apart, other) = apart(DQuat::from_rotation_y(f64::from(degrees).to_radians()) * turn)?;
+        (other > 0.5 * compared).then_some(apart)
+    });
+    elsewhere.min_by(f64::total_cmp).map(|elsewhere| here / elsewhere)
 }
 
 /// A turn that brings them closer, and how sure it is; `None` where the two have too little in common.
